@@ -1,4 +1,4 @@
-"""Sound of an array in air: its pressure, and the acoustic radiation pressure (ARP) that it makes on skin.
+"""Sound of an array in air: its pressure, and the acoustic radiation pressure (ARP) on skin.
 
 from palmfield.acoustics import FieldEvaluator, layout
 from palmfield.acoustics.arp import arp

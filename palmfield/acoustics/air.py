@@ -12,7 +12,7 @@ ZERO_CELSIUS_K = 273.15
 
 
 def check(air: Air) -> None:
-    """Raise SceneError when a property of the air is not a number or lies outside AIR_LIMITS."""
+    """Raise SceneError if a property of the air is NaN or outside AIR_LIMITS."""
     for name, (low, high) in AIR_LIMITS.items():
         value = getattr(air, name)
         if not low <= value <= high:
@@ -20,24 +20,24 @@ def check(air: Air) -> None:
 
 
 def sound_speed(air: Air) -> float:
-    """Speed of sound [m/s], c = 331.3 sqrt(1 + T/273.15). Raises SceneError for air outside AIR_LIMITS."""
+    """Return the speed of sound [m/s], c = 331.3 sqrt(1 + T/273.15). Raises SceneError for air outside AIR_LIMITS."""
     check(air)
     return 331.3 * math.sqrt(1.0 + air.temperature_C / ZERO_CELSIUS_K)
 
 
 def sound_speed_sd(air: Air, temperature_sd_K: float) -> float:
-    """Uncertainty of the speed of sound [m/s] for the standard deviation of the temperature [K]: dc/dT."""
+    """Return the standard deviation of the speed of sound [m/s] for that of the temperature [K]."""
     return 0.5 * sound_speed(air) / (ZERO_CELSIUS_K + air.temperature_C) * temperature_sd_K
 
 
 def density(air: Air) -> float:
-    """Density [kg/m3] of dry air at the same temperature and pressure. Raises SceneError for air outside AIR_LIMITS."""
+    """Return the density [kg/m3] of dry air at this temperature and pressure. SceneError outside AIR_LIMITS."""
     check(air)
     return air.pressure_Pa / (GAS_CONSTANT_AIR * (air.temperature_C + ZERO_CELSIUS_K))
 
 
 def absorption_Np_m(air: Air, frequency_Hz: float) -> float:
-    """Absorption of a pure tone's amplitude [Np/m], ISO 9613-1:1993 equations (3) to (5) and annex B.
+    """Return the amplitude absorption of a pure tone [Np/m], ISO 9613-1:1993 equations (3) to (5) and annex B.
 
     Raises SceneError for air outside AIR_LIMITS and for a frequency that is not positive.
     """

@@ -1,6 +1,6 @@
-"""Acoustic radiation pressure (ARP) of sound on skin, which is rigid for sound in air: all its laws.
+"""Laws of the acoustic radiation pressure (ARP) on skin, which is rigid for sound in air.
 
-`warp_kernels.arp` has the formula for kernels, with the weights that a law gives it.
+`warp_kernels.arp` evaluates the formula in kernels, with the weights of a law.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class SurfaceSound(NamedTuple):
 
     arp: radiation pressure [Pa], positive when it pushes inwards, shape (n,)
     amplitude: peak of the pressure, |p| [Pa], shape (n,)
-    flux: Im(p* grad p) [Pa2/m], the direction of the energy flow, shape (n, 3), or None
+    flux: Im(p* grad p) [Pa2/m], along the energy flow, shape (n, 3), or None
     """
 
     arp: Float32
@@ -55,10 +55,10 @@ LAWS = {
         "2 p_rms^2/(rho c^2) on lit points: exact for a plane wave at normal incidence; overstates focused beams"
     ),
 }
-"""Laws for the incident field, by the value of the scene's key `arp_law`. Add a new one as a line here."""
+"""Laws for the incident field, by the value of the scene's key `arp_law`. A new law is a new entry."""
 
 ALPHA_RANGE = 1.0, 2.0
-"""Range of the factor alpha: from a wall that absorbs all sound to one that reflects all."""
+"""Range of the factor alpha, from a fully absorbing to a fully reflecting wall."""
 
 TOTAL_FIELD = ArpLaw(
     "|p|^2/(4 rho c^2) - rho |u_t|^2/4 of the total field's peak amplitudes on a rigid wall, lit or not: the mean "
@@ -66,7 +66,7 @@ TOTAL_FIELD = ArpLaw(
     pressure=0.25,
     along=0.25,
 )
-"""Law for a field that includes the echo of the body, as from boundary elements."""
+"""Law for a total field, which includes the reflection from the body, as from boundary elements."""
 
 
 def arp(
@@ -78,14 +78,14 @@ def arp(
     law: str | ArpLaw = "default",
     device: str = "auto",
 ) -> Float32:
-    """Normal traction of the sound on a surface [Pa], shape (n,), positive when it pushes inwards.
+    """Return the normal traction of the sound on a surface [Pa], shape (n,), positive inwards.
 
-    Lit points are those into which the incident sound flows, Re(p u*)/2 . n < 0 with u = grad p/(i w rho); elsewhere it
-    is 0. The default law may be negative: grazing sound pulls.
+    It is 0 except at lit points, where the incident sound flows into the surface: Re(p u*)/2 . n < 0, u = grad p/(i w
+    rho). The default law gives negative values for grazing sound.
 
     field: incident pressure and gradient, n points.
     normals: unit outward normals of the surface, in the frame of the field, shape (n, 3).
-    law: a key of LAWS or a law itself, such as `alpha_law`. device: where it is computed.
+    law: a key of LAWS or an ArpLaw, for example by `alpha_law`. device: device of the computation.
     Raises SceneError for an unknown law or bad air. Raises PalmfieldError for a field without gradient, for normals of
     another shape or length, and for a field that is not finite.
     """
@@ -127,7 +127,7 @@ def arp(
 
 @lru_cache(maxsize=64)
 def law_weights(law: str | ArpLaw, air: Air) -> tuple[float, float, float]:
-    """Weights of |p|^2, of -|grad p/k|^2 along the surface and of |grad p/k|^2 across it [1/Pa].
+    """Return the weights of |p|^2, of -|grad p/k|^2 along the surface and of |grad p/k|^2 across it [1/Pa].
 
     Raises SceneError for an unknown law or bad air.
     """
@@ -136,7 +136,7 @@ def law_weights(law: str | ArpLaw, air: Air) -> tuple[float, float, float]:
 
 
 def wall_pressure(pressure: Complex, gradient: Complex, wavenumber: float, air: Air) -> Float:
-    """ARP [Pa], shape (n,), of the total field on a rigid wall, by the law TOTAL_FIELD.
+    """Return the ARP [Pa], shape (n,), of the total field on a rigid wall, by the law TOTAL_FIELD.
 
     pressure: [Pa], shape (n,); gradient: along the wall [Pa/m], shape (n, 3); wavenumber: [rad/m]
     """
@@ -146,7 +146,7 @@ def wall_pressure(pressure: Complex, gradient: Complex, wavenumber: float, air: 
 
 
 def law_named(law: str | ArpLaw) -> ArpLaw:
-    """Return the law of a name in LAWS, or the argument if it is a law. Raises SceneError for a name not in LAWS."""
+    """Return the law of this name, or the argument if it is a law. Raises SceneError for a name not in LAWS."""
     if isinstance(law, ArpLaw):
         return law
     if law not in LAWS:
@@ -155,9 +155,9 @@ def law_named(law: str | ArpLaw) -> ArpLaw:
 
 
 def alpha_law(alpha: float) -> ArpLaw:
-    """ARP = alpha p_rms^2/(rho c^2) on lit points, eq 1 of Hasegawa & Shinoda 2018.
+    """Return the law ARP = alpha p_rms^2/(rho c^2) on lit points, eq 1 of Hasegawa & Shinoda 2018.
 
-    alpha: 1 + R for skin that reflects the share R of the sound energy, 1 to 2; 2 is LAWS["alpha"]
+    alpha: 1 + R for skin with energy reflectance R, 1 to 2; 2 is LAWS["alpha"]
     Raises SceneError for an alpha outside 1..2.
     """
     least, most = ALPHA_RANGE
@@ -175,7 +175,7 @@ def alpha_law(alpha: float) -> ArpLaw:
 
 
 def unit_normals(normals: ArrayLike, count: int) -> Float32:
-    """The normals, shape (count, 3), float32. Raises PalmfieldError for another shape or length."""
+    """Return the normals as float32, shape (count, 3). Raises PalmfieldError for another shape or length."""
     outward = np.ascontiguousarray(normals, dtype=np.float32)
     if outward.shape != (count, 3):
         raise PalmfieldError(f"normals have shape {outward.shape} but the field has {count} points: give ({count}, 3)")

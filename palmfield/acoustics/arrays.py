@@ -1,4 +1,4 @@
-"""Transducer arrays: known boards by name, and ways to make others (`palmfield.acoustics.placement`)."""
+"""Transducer arrays of known boards by name; `palmfield.acoustics.placement` makes others."""
 
 from dataclasses import replace
 
@@ -23,10 +23,10 @@ __all__ = [
 
 
 def layout(name: str, p0_Pa_m: float | None = None) -> Array:
-    """Array of a known board.
+    """Return the array of a known board.
 
     name: a key of LAYOUTS.
-    p0_Pa_m: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]; None for that of the layout.
+    p0_Pa_m: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]; None for the layout's value.
     Raises SceneError for another name, and for a p0 that is not positive.
     """
     if name not in LAYOUTS:
@@ -38,10 +38,10 @@ def layout(name: str, p0_Pa_m: float | None = None) -> Array:
 
 
 def layout_of_version(name: str, version: int) -> str:
-    """Name that a layout of a file has now.
+    """Return the present name of a layout that is recorded in a file.
 
-    name, version: as the file records them; files from before versions were recorded have version 1
-    Returns the name as it is for a layout that is no key of LAYOUTS. Raises SceneError for a version that there is not.
+    name, version: as in the file; version is 1 in files that record none
+    A name that is not in LAYOUTS is returned unchanged. Raises SceneError for a version that does not exist.
     """
     if name not in LAYOUTS or version == LAYOUTS[name].version:
         return name

@@ -1,4 +1,4 @@
-"""Double-layer operator from triangles with one value each to any points, without a matrix, on the CPU or a GPU."""
+"""Matrix-free double-layer operator from triangles with constant values to points, on the CPU or a GPU."""
 
 import numpy as np
 import warp as wp
@@ -12,15 +12,15 @@ from palmfield.types import Complex, Float, Int
 from warp_kernels import bem as kernels
 
 NEAR_EDGES = 3.0
-"""Within this many edge lengths of a triangle its integral is done exactly."""
+"""Distance from a triangle, in edge lengths, within which its integral is computed exactly."""
 
 SOFTENING_EDGES = 0.01
-"""Distance below which the one-point sum is cut: an error of 1e-5 where it holds, and no large numbers where it is
-taken off again."""
+"""Distance below which the one-point sum is clipped: the error is 1e-5, and values that are subtracted later stay
+small."""
 
 CPU_WIDTH = 16
 GPU_THREADS = 500_000
-"""Threads that keep a large GPU busy; fewer points than this share the triangles among several threads."""
+"""Number of threads that fills a large GPU; for fewer points, several threads share the triangles."""
 
 RULE = np.array(
     [(1 / 3, 1 / 3, 1 / 3, 0.225)]
@@ -30,18 +30,19 @@ RULE = np.array(
         for shift in range(3)
     ]
 )
-"""Seven points of degree 5 (Radon 1948; Dunavant 1985, doi 10.1002/nme.1620210612): barycentric coordinates, weight."""
+"""Quadrature of degree 5 with seven points (Radon 1948; Dunavant 1985, doi 10.1002/nme.1620210612): barycentric
+coordinates and weight."""
 
 
 class DoubleLayer:
     """p -> integral of p dG/dn over a triangle mesh, at fixed points; G = exp(ikr)/(4 pi r), p constant by triangle.
 
-    On the wall itself it jumps: a point of triangle `own` gets the principal value there, half-way between the limits
-    from both sides; any other point must be off the wall. Float32 sums: 1e-6 of the largest result.
+    The operator jumps at the wall. At the centroid of triangle `own` the result is the principal value, the mean of the
+    limits from both sides; other points must be off the wall. Sums are in float32, error 1e-6 of the largest result.
 
     points: [m], shape (n, 3). vertices: [m], shape (v, 3). faces: shape (m, 3), outward counter-clockwise.
     wavenumber: [rad/m]. device: a name from `palmfield.device.resolve`.
-    own: the triangle whose centroid a point is, -1 for points off the wall, shape (n,); None is -1 for all.
+    own: triangle whose centroid is the point, -1 for points off the wall, shape (n,); None is -1 for all.
     """
 
     def __init__(
@@ -67,7 +68,7 @@ class DoubleLayer:
         return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec3, device=self.device)
 
     def _correct(self, corners: wp.array, reach_in_wavelengths: Float, own: NDArray[np.integer]) -> None:
-        """Fill the sparse list of pairs that the one-point sum gets wrong."""
+        """Compute the sparse corrections of pairs for which the one-point sum is inaccurate."""
         largest = float(reach_in_wavelengths.max())
         reach: wp.array = wp.array(reach_in_wavelengths.astype(np.float32), dtype=float, device=self.device)
         grid = wp.HashGrid(128, 128, 128, device=self.device)
@@ -86,36 +87,36 @@ class DoubleLayer:
         wp.launch(kernels.near_fill, dim=self.count, inputs=inputs, device=self.device)
 
     def apply(self, density: Complex) -> Complex:
-        """Values at the points, shape (n,), of a density by triangle, shape (m,)."""
+        """Return the values at the points, shape (n,), of a density by triangle, shape (m,)."""
         result = wp.zeros(self.count, dtype=wp.vec2, device=self.device)
         if self.count == 0:
             return np.zeros(0, np.complex128)
-        given = self.pairs(density)
+        values = self.pairs(density)
         if self.device == "cpu":
-            self._far_on_cpu(given, result)
+            self._far_on_cpu(values, result)
         else:
             parts = max(1, GPU_THREADS // self.count)
             wp.launch(
                 kernels.far(1),
                 (self.count, parts),
-                [*self.summands(self.points, given, parts), result],
+                [*self.summands(self.points, values, parts), result],
                 device=self.device,
             )
-        inputs = [self.start, self.column, self.value, given, result]
+        inputs = [self.start, self.column, self.value, values, result]
         wp.launch(kernels.near_apply, dim=self.count, inputs=inputs, device=self.device)
         return result.numpy().view(np.complex64)[:, 0].astype(np.complex128)
 
     def pairs(self, density: Complex) -> wp.array:
-        """Real and imaginary parts by triangle, on the device."""
+        """Return real and imaginary parts by triangle, on the device."""
         pairs = np.ascontiguousarray(density, np.complex64).view(np.float32).reshape(-1, 2)
         return wp.array(pairs, dtype=wp.vec2, device=self.device)
 
     def summands(self, points: wp.array, density: wp.array, parts: int) -> list:
-        """Arguments of the kernel `far` except the result."""
+        """Return the arguments of the kernel `far` without the result."""
         return [points, self.centroids, self.moments, density, self.sine, self.cosine, self.softening, parts]
 
     def _far_on_cpu(self, density: wp.array, result: wp.array) -> None:
-        """One slice of the points per thread; Warp releases the GIL while a kernel runs."""
+        """Compute one slice of the points per thread; Warp releases the GIL while a kernel runs."""
         kernel = kernels.far(CPU_WIDTH)
         load_kernels(kernel.module, "cpu")
         threads = cores()

@@ -1,4 +1,4 @@
-"""Requirements of boundary elements on a mesh: closed, turned outwards, fine enough; and closing an open patch."""
+"""Check a mesh for boundary elements (closed, outward, fine enough), and close an open patch."""
 
 import warnings
 from itertools import pairwise
@@ -18,10 +18,10 @@ DEPTH_PER_THICKNESS = 0.25
 
 
 def checked(vertices: ArrayLike, faces: ArrayLike) -> tuple[Float, Int]:
-    """Vertices [m], shape (v, 3), and faces, shape (m, 3), of a closed mesh turned outwards.
+    """Return vertices [m], shape (v, 3), and faces, shape (m, 3), of a closed mesh with outward faces.
 
-    Raises PalmfieldError for other shapes, numbers that are not finite, vertices that do not exist, faces without
-    area, an open mesh, and one turned inside out.
+    Raises PalmfieldError for other shapes, numbers that are not finite, invalid vertex numbers, faces without area, an
+    open mesh, and faces that point inwards.
     """
     points = np.asarray(vertices, dtype=np.float64)
     triangles = np.asarray(faces, dtype=np.int32)
@@ -51,13 +51,13 @@ def checked(vertices: ArrayLike, faces: ArrayLike) -> tuple[Float, Int]:
 
 
 def mean_edge_m(vertices: Float, faces: Int) -> float:
-    """Mean length of the edges [m]."""
+    """Return the mean length of the edges [m]."""
     ends = vertices[directed_edges(faces)]
     return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean())
 
 
 def elements_per_wavelength(vertices: Float, faces: Int, wavenumber: float) -> float:
-    """Wavelength over mean edge; warns (UserWarning) below LEAST_ELEMENTS_PER_WAVELENGTH."""
+    """Return wavelength over mean edge; warn (UserWarning) if it is below LEAST_ELEMENTS_PER_WAVELENGTH."""
     elements = 2.0 * np.pi / wavenumber / mean_edge_m(vertices, faces)
     if elements < LEAST_ELEMENTS_PER_WAVELENGTH:
         warnings.warn(
@@ -69,7 +69,7 @@ def elements_per_wavelength(vertices: Float, faces: Int, wavenumber: float) -> f
 
 
 def inner_points(vertices: Float, faces: Int, wavenumber: float) -> Float:
-    """One point under each face's centroid [m], shape (m, 3): an eighth of a wavelength deep, less where it is thin."""
+    """Return a point under the centroid of each face [m], shape (m, 3), a wavelength/8 deep, less in thin parts."""
     normals, _ = face_normals(vertices, faces)
     centroids = vertices[faces].mean(axis=1)
     depth = DEPTH_PER_WAVELENGTH * 2.0 * np.pi / wavenumber
@@ -78,7 +78,7 @@ def inner_points(vertices: Float, faces: Int, wavenumber: float) -> Float:
 
 
 def closed(vertices: Float, faces: Int, thickness_m: float) -> tuple[Float, Int, NDArray[np.bool_]]:
-    """Open patch made a plate: its copy `thickness_m` behind it along the inward normals, and walls at the rim.
+    """Close an open patch to a plate, by a copy `thickness_m` behind it along the inward normals, and rim walls.
 
     vertices: [m], shape (v, 3). faces: shape (m, 3), counter-clockwise seen from outside.
     Returns vertices, faces (those of the patch first), and True on the faces of the patch.

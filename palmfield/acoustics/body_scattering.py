@@ -1,4 +1,4 @@
-"""Effect of bodies on the sound on a surface: the whole scattered field, by boundary elements."""
+"""Effect of bodies on the sound on a surface: the full scattered field by boundary elements."""
 
 from dataclasses import dataclass
 
@@ -14,15 +14,15 @@ from palmfield.types import Air, Complex, Float, Int
 
 MOST_FACES = 1_000_000
 EDGES_PER_WAVELENGTH = 6.0
-"""Longest edge of the boundary elements; they come out with about 8 edges a wavelength in the mean."""
+"""Longest edge of the boundary elements in wavelengths; the mean is then about 8 edges per wavelength."""
 
 
 def boundary_mesh(vertices: Float, faces: Int, wavelength_m: float) -> tuple[Float, Int]:
-    """The closed surface with edges short enough for boundary elements: vertices [m] and faces.
+    """Return vertices [m] and faces of a closed surface, subdivided for boundary elements.
 
     vertices: [m], shape (v, 3); faces: shape (m, 3)
-    Raises PalmfieldError for other shapes, NaN, faces of no vertex, and a wavelength that is not above 0 or so short
-    that the mesh would have more than MOST_FACES.
+    Raises PalmfieldError for other shapes, NaN, invalid vertex numbers, and a wavelength that is not above 0 or needs
+    more than MOST_FACES.
     """
     vertices, faces = checked_mesh(vertices, faces)
     edge = wavelength_m / EDGES_PER_WAVELENGTH
@@ -36,7 +36,7 @@ def boundary_mesh(vertices: Float, faces: Int, wavelength_m: float) -> tuple[Flo
 
 @dataclass(frozen=True)
 class RigidScatteredField:
-    """Total sound on a rigid body for one drive and pose, to be read anywhere on the body.
+    """Total sound on a rigid body for one drive and pose, which can be evaluated anywhere on the body.
 
     solution: by boundary elements; nearest: tree of its centroids
     """
@@ -49,15 +49,15 @@ class RigidScatteredField:
     def of(
         mesh: tuple[Float, Int], incident: Incident, wavenumber: float, air: Air, device: str
     ) -> "RigidScatteredField":
-        """Solve for the sound on a body; see `palmfield.acoustics.scattering.scatter` for what it raises.
+        """Solve for the sound on a body. Raises the errors of `palmfield.acoustics.scattering.scatter`.
 
-        mesh: of `boundary_mesh`; incident: the sound without the body; wavenumber: [rad/m]
+        mesh: from `boundary_mesh`; incident: sound without the body; wavenumber: [rad/m]
         """
         solution = scatter(*mesh, incident, wavenumber, device=device)
         return RigidScatteredField(solution, cKDTree(solution.centroids), air)
 
     def at(self, points: Float) -> SurfaceSound:
-        """ARP and amplitude of the pressure at points on or near the surface [m], shape (n, 3), from the nearest face.
+        """Return ARP and pressure amplitude of the nearest face at points on or near the surface [m], shape (n, 3).
 
         The law is `palmfield.acoustics.arp.TOTAL_FIELD`.
         """

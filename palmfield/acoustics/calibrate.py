@@ -12,19 +12,19 @@ from palmfield.types import Air, Array
 def calibrate_p0(
     points: ArrayLike, pressures_Pa: ArrayLike, array: Array, drive: ArrayLike, air: Air
 ) -> tuple[float, float]:
-    """p0 of an array [Pa m] and its standard error, by least squares over measured pressure magnitudes.
+    """Return p0 of an array [Pa m] and its standard error, by least squares over measured pressure magnitudes.
 
-    The model is |p_i| = p0 m_i + e_i, with m_i the simulated magnitude for p0 = 1 and errors e_i of one variance, as
+    The model is |p_i| = p0 m_i + e_i, with m_i the simulated magnitude for p0 = 1 and errors e_i of equal variance, as
     from a microphone with a noise floor. Then p0 = sum(m_i |p_i|)/sum(m_i^2), and the variance is estimated from the
-    residuals with n - 1 degrees of freedom. The standard error holds the scatter only, not errors that all readings
-    share, such as that of the microphone calibration.
+    residuals with n - 1 degrees of freedom. The standard error contains the scatter only, not errors common to all
+    readings, such as that of the microphone calibration.
 
-    points: of the microphone [m], array frame, shape (n, 3).
+    points: positions of the microphone [m], array frame, shape (n, 3).
     pressures_Pa: magnitudes of the peak pressure there (rms times sqrt 2), shape (n,).
-    array: its p0_Pa_m is not used; gain and directivity are.
+    array: gain and directivity are used, p0_Pa_m is not.
     drive: complex amplitudes during the measurement, shape (len(array),).
     Raises PalmfieldError for fewer than 2 points, for pressures that are negative, not finite or of another number, and
-    for points without sound of the array; further as `pressure64` does.
+    for points without sound of the array; also the errors of `pressure64`.
     """
     where = check.points(points, np.float64)
     measured = np.asarray(pressures_Pa, dtype=float)

@@ -1,4 +1,4 @@
-"""A laboratory's calibration of one array as a JSON file: measured data of its transducers, and their source."""
+"""Calibration of one array in a JSON file: measured data of its transducers, and their source."""
 
 import math
 from dataclasses import replace
@@ -25,7 +25,7 @@ RANGES = {
     "resonance_Hz": (20e3, 80e3, ", in hertz"),
     "quality": (1.0, 1000.0, ""),
 }
-"""Allowed range and unit of the numbers in a file: of the last two as of the scene's keys."""
+"""Allowed range and unit of the numbers in a file; the ranges of the last two are those of the scene's keys."""
 
 
 class _Part(BaseModel):
@@ -33,13 +33,13 @@ class _Part(BaseModel):
 
 
 class Elements(_Part):
-    """Measured data of each transducer, in the order of the layout; all of one length n.
+    """Measured data of each transducer, in the order of the layout; all lists have the same length n.
 
-    enabled: False for one that makes no sound; its other numbers are ignored.
-    polarity: -1 where it is wired the other way round. phase_rad: its additional delay [rad].
-    gain: its amplitude relative to p0. phase_sd_rad, gain_sd: standard errors.
-    position_m: its place in the array's frame [m], where measured. address: in the byte order of the board.
-    resonance_Hz, quality: of its resonance, where they were measured one by one.
+    enabled: False for a transducer without sound; its other numbers are ignored.
+    polarity: -1 for reversed wiring. phase_rad: additional delay [rad].
+    gain: amplitude relative to p0. phase_sd_rad, gain_sd: standard errors.
+    position_m: position in the array frame [m], if measured. address: number in the byte order of the board.
+    resonance_Hz, quality: of the resonance, if measured one by one.
     """
 
     enabled: tuple[bool, ...]
@@ -68,9 +68,9 @@ class Elements(_Part):
 
 
 class Pose(_Part):
-    """Where the board is in the frame that was meant for it, with standard errors.
+    """Pose of the board relative to its nominal frame, with standard errors.
 
-    offset_m: of its origin [m]; turn_rad: rotation vector [rad]
+    offset_m: offset of the origin [m]; turn_rad: rotation vector [rad]
     """
 
     offset_m: Place = (0.0, 0.0, 0.0)
@@ -82,7 +82,7 @@ class Pose(_Part):
 class Level(_Part):
     """Pressure as a function of the drive level a: p = p0 a^exponent up to linear_to, and less above it.
 
-    exponent, with its standard error; linear_to: level above which more than 5 % is missing, 1 if there is none.
+    exponent: with its standard error; linear_to: level above which more than 5 % is missing, 1 if there is none.
     """
 
     exponent: Positive
@@ -91,7 +91,7 @@ class Level(_Part):
 
 
 class WarmUp(_Part):
-    """Amplitude over time since it was switched on: 1 + drop exp(-t/time_s) of that in the end."""
+    """Amplitude over the time since switching on, relative to the final one: 1 + drop exp(-t/time_s)."""
 
     drop: float
     drop_sd: NonNegative
@@ -103,12 +103,12 @@ def _version(name: str) -> int:
 
 
 class Calibration(_Part):
-    """Measured data of an array; None for those that were not measured.
+    """Measured data of an array; None for data that were not measured.
 
-    layout, layout_version: the array whose transducers are in that order.
+    layout, layout_version: define the order of the transducers.
     p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m].
-    quality, resonance_Hz: of the resonance of the transducers, all together.
-    phase_offset_rad: common delay of the board [rad], against another board or a trigger.
+    quality, resonance_Hz: common resonance of all transducers.
+    phase_offset_rad: common delay of the board [rad], relative to another board or a trigger.
     """
 
     format: Literal["palmfield calibration"] = "palmfield calibration"
@@ -144,10 +144,10 @@ class Calibration(_Part):
 
 
 def read_calibration(path: str | Path) -> Calibration:
-    """The calibration in a JSON file, whose parts are those of `Calibration` (docs/calibration.md).
+    """Read a calibration from a JSON file with the entries of `Calibration` (docs/calibration.md).
 
-    One of an earlier version of a layout gets the name that this layout has now: its transducers are in that order.
-    Raises SceneError for a file that cannot be read, and, with its place, for an entry that does not fit.
+    A layout of an earlier version gets its present name. Raises SceneError for a file that cannot be read, and with the
+    entry for an invalid entry.
     """
     file = Path(path)
     with reading(file, SceneError, "a calibration's JSON file"):
@@ -155,7 +155,7 @@ def read_calibration(path: str | Path) -> Calibration:
     try:
         calibration = Calibration.model_validate_json(data)
     except ValidationError as error:
-        raise SceneError(f"{file}: " + _told(error.errors()[0])) from None
+        raise SceneError(f"{file}: " + _message(error.errors()[0])) from None
     _check_units(file, calibration)
     version = calibration.layout_version if "layout_version" in calibration.model_fields_set else 1
     with naming(f"{file}"):
@@ -164,9 +164,9 @@ def read_calibration(path: str | Path) -> Calibration:
 
 
 def _check_units(file: Path, calibration: Calibration) -> None:
-    """Raises SceneError for numbers that no transducer has, and any has in another unit."""
-    known = {name: getattr(calibration, name, None) for name in RANGES}
-    numbers = {f"{name}.value": (name, found.value) for name, found in known.items() if found is not None}
+    """Raise SceneError for numbers outside RANGES, which are usually in another unit."""
+    entries = {name: getattr(calibration, name, None) for name in RANGES}
+    numbers = {f"{name}.value": (name, entry.value) for name, entry in entries.items() if entry is not None}
     elements = calibration.elements
     if elements is not None:
         for name in RANGES:
@@ -179,7 +179,7 @@ def _check_units(file: Path, calibration: Calibration) -> None:
             raise SceneError(f"{file}: {place} = {value:g}; allowed: {low:.5g} to {high:.5g}{unit}")
 
 
-def _told(error: Any) -> str:
+def _message(error: Any) -> str:
     place = ".".join(str(step) for step in error["loc"])
     text = error["msg"].removeprefix("Value error, ").replace("Input should be", "allowed:")
     if error["type"] == "json_invalid":
@@ -188,20 +188,20 @@ def _told(error: Any) -> str:
         return f"{place} is unknown; docs/calibration.md lists the allowed keys"
     if error["type"] == "missing":
         return f"{place} is missing"
-    given = error["input"]
-    value = "" if isinstance(given, dict | list) or not place else f" = {given!r}"
+    entry = error["input"]
+    value = "" if isinstance(entry, dict | list) or not place else f" = {entry!r}"
     return f"{place}{value}: {text}" if place else text
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
-    """Write a calibration that `read_calibration` reads back. Raises OutputError where it cannot be written."""
+    """Write a calibration for `read_calibration`. Raises OutputError if it cannot be written."""
     write_text(path, calibration.model_dump_json(indent=1, exclude_none=True) + "\n")
 
 
 def response(calibration: Calibration, count: int) -> Complex | None:
-    """Complex emission of each transducer for a unit drive, relative to p0, shape (count,): 0 where it makes no sound.
+    """Return the complex emission of each transducer at unit drive relative to p0, shape (count,), 0 if disabled.
 
-    None where that wasn't measured. Raises SceneError for a calibration of another number of transducers.
+    The result is None if it was not measured. Raises SceneError if the number of transducers differs.
     """
     elements, offset = calibration.elements, calibration.phase_offset_rad
     if elements is None:
@@ -216,9 +216,9 @@ def response(calibration: Calibration, count: int) -> Complex | None:
 
 
 def calibrated(array: Array, calibration: Calibration) -> Array:
-    """The array as it was measured.
+    """Return the array with its measured data, except p0.
 
-    array: the layout; its p0 stays. Raises SceneError for a calibration of another layout or number of transducers.
+    array: the layout. Raises SceneError for a calibration of another layout or number of transducers.
     """
     if calibration.layout != array.name:
         earlier = LAYOUTS[array.name].earlier if array.name in LAYOUTS else ()

@@ -1,4 +1,4 @@
-"""Checks of what users pass to the acoustics, shared by the float32 field and its float64 twin."""
+"""Checks of arguments, for the float32 field and the float64 reference."""
 
 from typing import Any
 
@@ -10,11 +10,11 @@ from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Array
 
 FARTHEST_m = 1e4
-"""Largest coordinate of a point: float32 resolves only half a millimetre beyond it, and there is no sound left."""
+"""Largest coordinate of a point [m]; beyond it float32 resolves only half a millimetre, and sound has decayed."""
 
 
 def numbers(values: ArrayLike, name: str) -> NDArray[Any]:
-    """The values as an array. Raises PalmfieldError for text, objects and rows of unequal length."""
+    """Return the values as an array. Raises PalmfieldError for text, objects and rows of unequal length."""
     try:
         result = np.asarray(values)
     except ValueError as error:
@@ -25,54 +25,54 @@ def numbers(values: ArrayLike, name: str) -> NDArray[Any]:
 
 
 def first_bad(values: NDArray[np.inexact]) -> int:
-    """Index of the first row that holds NaN or infinity."""
+    """Return the index of the first row with NaN or infinity."""
     rows = np.isfinite(values).reshape(len(values), -1).all(axis=1)
     return int(np.argmin(rows))
 
 
 def positions(values: ArrayLike) -> NDArray[Any]:
-    """The values as an array of shape (n, 3). Raises PalmfieldError for another shape, complex numbers and text."""
-    given = numbers(values, "points")
-    if given.dtype.kind == "c":
+    """Return the values as an array (n, 3). Raises PalmfieldError for another shape, complex numbers and text."""
+    result = numbers(values, "points")
+    if result.dtype.kind == "c":
         raise PalmfieldError("points are complex: give real positions (x, y, z), in metres")
-    if given.ndim != 2 or given.shape[1] != 3:
-        raise PalmfieldError(f"points have shape {given.shape}: give (n, 3), in metres")
-    return given
+    if result.ndim != 2 or result.shape[1] != 3:
+        raise PalmfieldError(f"points have shape {result.shape}: give (n, 3), in metres")
+    return result
 
 
 def points(values: ArrayLike, dtype: type[np.floating]) -> NDArray[np.floating]:
-    """Positions as a contiguous array of `dtype`, shape (n, 3).
+    """Return positions as a contiguous array of `dtype`, shape (n, 3).
 
-    Raises PalmfieldError as `positions`, and for NaN, infinity, and beyond FARTHEST_m.
+    Raises PalmfieldError as `positions`, and for NaN, infinity, and coordinates beyond FARTHEST_m.
     """
-    given = positions(values)
-    if not (np.abs(given) <= FARTHEST_m).all():
-        if np.isfinite(given).all():
-            i = int(np.argmax(np.abs(given).max(axis=1)))
-            raise PalmfieldError(f"points[{i}] = {given[i].tolist()} is over {FARTHEST_m:g} m away: give metres")
-        i = first_bad(given)
-        raise PalmfieldError(f"points[{i}] = {given[i].tolist()} is not finite: remove or correct it")
-    return np.ascontiguousarray(given, dtype=dtype)
+    result = positions(values)
+    if not (np.abs(result) <= FARTHEST_m).all():
+        if np.isfinite(result).all():
+            i = int(np.argmax(np.abs(result).max(axis=1)))
+            raise PalmfieldError(f"points[{i}] = {result[i].tolist()} is over {FARTHEST_m:g} m away: give metres")
+        i = first_bad(result)
+        raise PalmfieldError(f"points[{i}] = {result[i].tolist()} is not finite: remove or correct it")
+    return np.ascontiguousarray(result, dtype=dtype)
 
 
 def drive(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
-    """Complex amplitudes, shape (len(array),). Raises PalmfieldError for another shape, text, NaN or infinity."""
+    """Return complex amplitudes (len(array),). Raises PalmfieldError for another shape, text, NaN or infinity."""
     return amplitudes(values, len(array), f"array '{array.name}'")
 
 
 def amplitudes(values: ArrayLike, count: int, name: str) -> NDArray[np.complex128]:
-    """As `drive`, for this number of transducers of `name`."""
-    given = numbers(values, "drive").astype(np.complex128)
-    if given.shape != (count,):
-        raise PalmfieldError(f"drive has shape {given.shape} but {name} has {count} transducers: give shape ({count},)")
-    if not np.isfinite(given).all():
-        i = first_bad(given)
-        raise PalmfieldError(f"drive[{i}] = {given[i]} is not finite: remove or correct it")
-    return given
+    """Return complex amplitudes, shape (count,). Raises as `drive`; name: of the array, for messages."""
+    drive = numbers(values, "drive").astype(np.complex128)
+    if drive.shape != (count,):
+        raise PalmfieldError(f"drive has shape {drive.shape} but {name} has {count} transducers: give shape ({count},)")
+    if not np.isfinite(drive).all():
+        i = first_bad(drive)
+        raise PalmfieldError(f"drive[{i}] = {drive[i]} is not finite: remove or correct it")
+    return drive
 
 
 def frames(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
-    """Drives of several frames, shape (frames, len(array)), contiguous.
+    """Return the drives of several frames, shape (frames, len(array)), contiguous.
 
     Raises PalmfieldError for another shape, text, NaN or infinity.
     """
@@ -88,12 +88,12 @@ def frames(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
 
 
 def array(value: Array) -> None:
-    """Raise SceneError for an array whose geometry or constants cannot radiate."""
+    """Raise SceneError for an array with invalid geometry or constants."""
     for name in ("positions", "normals", "gain", "directivity_table"):
-        given = getattr(value, name)
-        if not isinstance(given, np.ndarray) and not (given is None and name in ("gain", "directivity_table")):
+        member = getattr(value, name)
+        if not isinstance(member, np.ndarray) and not (member is None and name in ("gain", "directivity_table")):
             raise SceneError(
-                f"array '{value.name}' {name} is a {type(given).__name__}: give a NumPy array, np.array(...), or "
+                f"array '{value.name}' {name} is a {type(member).__name__}: give a NumPy array, np.array(...), or "
                 "make the array with palmfield.acoustics.arrays.from_poses"
             )
     count = len(value.positions)
@@ -121,7 +121,7 @@ def array(value: Array) -> None:
 
 
 def directivity_table(name: str, table: NDArray[np.float64]) -> None:
-    """Raise SceneError unless the table goes from (0 deg, 1) to 90 deg, angles rising, amplitudes 0 or more."""
+    """Raise SceneError unless the table goes from (0 deg, 1) to 90 deg with rising angles and amplitudes >= 0."""
     if table.ndim != 2 or table.shape[1] != 2 or len(table) < 3 or not np.isfinite(table).all():
         raise SceneError(f"array '{name}' directivity_table of shape {table.shape} must be finite and (3 or more, 2)")
     angle, amplitude = table.T
@@ -139,19 +139,19 @@ def directivity_table(name: str, table: NDArray[np.float64]) -> None:
 
 
 def frequency(value: float) -> float:
-    """The carrier [Hz] itself. Raises SceneError when it is not positive and finite."""
+    """Return the carrier [Hz]. Raises SceneError if it is not positive and finite."""
     if not 0.0 < value < np.inf:
         raise SceneError(f"frequency_Hz = {value} is not positive and finite: give the carrier, for example 40e3")
     return value
 
 
 def angular_frequency(frequency_Hz: float) -> float:
-    """2 pi f [rad/s]. Raises SceneError for a frequency that is not positive and finite."""
+    """Return 2 pi f [rad/s]. Raises SceneError for a frequency that is not positive and finite."""
     return 2.0 * np.pi * frequency(frequency_Hz)
 
 
 def in_front(array: Array, point: NDArray[np.float64], name: str) -> None:
-    """Raise SceneError unless the point [m], shape (3,), is in front of every transducer; `name` begins the message."""
+    """Raise SceneError, with `name`, unless the point [m], shape (3,), is in front of every transducer."""
     height = np.einsum("ij,ij->i", point - array.positions, array.normals)
     if np.any(height <= 0.0):
         i = int(np.argmin(height))
@@ -162,7 +162,7 @@ def in_front(array: Array, point: NDArray[np.float64], name: str) -> None:
 
 
 def absorption(value: float) -> float:
-    """The absorption [Np/m] itself. Raises PalmfieldError when it is negative or not finite."""
+    """Return the absorption [Np/m]. Raises PalmfieldError if it is negative or not finite."""
     if not 0.0 <= value < np.inf:
         raise PalmfieldError(f"absorption_Np_m = {value} must be 0 or more, and finite")
     return float(value)

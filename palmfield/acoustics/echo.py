@@ -1,7 +1,7 @@
-"""Sound that goes back and forth between the rigid face of an array and a flat rigid wall in front of it.
+"""Multiple reflections between the rigid face of an array and a flat rigid wall in front of it.
 
-Both are taken as endless planes with reflection 1. The sound at the wall after m round trips is then the sound of the
-array moved back by 2 m distances: its image, all of whose sound comes from the side of the array.
+Both are modelled as infinite planes with reflection 1. The sound at the wall after m round trips is then that of an
+image of the array, which is moved back by 2 m distances.
 """
 
 import math
@@ -13,24 +13,24 @@ from palmfield.errors import SceneError
 from palmfield.types import Air, Float
 
 REST = 2e-3
-"""Bound on the pressure of all images that are left out, as a share of what all transducers at full drive would give
-at the wall if each were straight below the point."""
+"""Bound on the pressure of all omitted images, relative to that of all transducers at full drive at the wall, each
+straight below the point."""
 MOST_IMAGES = 400
 
 
 def rest_beyond(images: int, absorption_Np_m: float, distance_m: float) -> float:
-    """Bound on what the images beyond some number add, as a share as REST has it.
+    """Return the bound on the pressure of the images beyond a number, relative to the same value as REST.
 
-    Image m is at least 2 m + 1 distances away, and its sound in the worst case all in phase.
+    Image m is at least 2 m + 1 distances away; in the worst case all sound is in phase.
     """
     loss = 2.0 * absorption_Np_m * distance_m
     return math.exp(-loss * (images + 1)) / ((2 * images + 3) * -math.expm1(-loss))
 
 
 def image_count(air: Air, frequency_Hz: float, distance_m: float) -> int:
-    """Number of images that leave out less than REST.
+    """Return the number of images for which the omitted pressure is below REST.
 
-    Raises SceneError for more than MOST_IMAGES: where air takes too little on so short a way.
+    Raises SceneError for more than MOST_IMAGES, which short distances with little absorption need.
     """
     absorption = absorption_Np_m(air, frequency_Hz)
     for images in range(MOST_IMAGES + 1):
@@ -44,7 +44,7 @@ def image_count(air: Air, frequency_Hz: float, distance_m: float) -> int:
 
 
 def image_shifts(air: Air, frequency_Hz: float, distance_m: float, outward: Float) -> Float:
-    """Places of the images of an array, from the array itself [m], shape (images, 3).
+    """Return the offsets of the images from the array [m], shape (images, 3).
 
     distance_m: from the plane of the transducers to the wall; outward: unit normal of that plane, shape (3,)
     Raises SceneError as `image_count`.

@@ -16,19 +16,19 @@ from palmfield.types import Air, Array, Complex, Float
 
 REFERENCE_PA = 20e-6
 PUBLIC_DB, OCCUPATIONAL_DB = 100.0, 110.0
-"""Above which users are warned: limits of interim guidelines for the 25 to 50 kHz bands, for the public and at work."""
+"""Levels above which users are warned: interim guidelines for the 25 to 50 kHz bands, for the public and at work."""
 WORKING_DAY_S = 8 * 3600.0
 A_POLES_HZ = 20.598997, 107.65265, 737.86223, 12194.217
 ANGLES = np.linspace(0.0, 0.5 * np.pi, 361)
 
 
 def level_dB(rms_Pa: float) -> float:
-    """Sound pressure level over 20 uPa; -inf in silence."""
+    """Return the sound pressure level re 20 uPa; -inf in silence."""
     return 20.0 * math.log10(rms_Pa / REFERENCE_PA) if rms_Pa > 0.0 else -math.inf
 
 
 def a_weighting_dB(frequency_Hz: Float) -> Float:
-    """Level that A-weighting adds at a frequency, -inf at 0 Hz."""
+    """Return the A-weighting at a frequency; -inf at 0 Hz."""
     low, second, third, high = (pole**2 for pole in A_POLES_HZ)
     square = np.asarray(frequency_Hz, float) ** 2
     gain = high * square**2 / ((square + low) * (square + high) * np.sqrt((square + second) * (square + third)))
@@ -37,22 +37,22 @@ def a_weighting_dB(frequency_Hz: Float) -> Float:
 
 
 def dose_dB(mean_square_Pa2: float, duration_s: float) -> float:
-    """Level that would have the same energy over a working day of 8 h; mean_square_Pa2: over duration_s."""
+    """Return the level of equal energy over a working day of 8 h; mean_square_Pa2: mean over duration_s."""
     return level_dB(math.sqrt(mean_square_Pa2 * duration_s / WORKING_DAY_S))
 
 
 def ball_points(middle: Float, radius_m: float, spacing_m: float) -> Float:
-    """Points of a grid in a ball, its middle among them [m], shape (n, 3)."""
+    """Return the points of a grid in a ball, including its centre [m], shape (n, 3)."""
     steps = np.arange(-math.floor(radius_m / spacing_m), math.floor(radius_m / spacing_m) + 1) * spacing_m
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.asarray(middle, float) + grid[np.linalg.norm(grid, axis=1) <= radius_m * (1.0 + 1e-9)]
 
 
 def radiated_power_W(array: Array, drive: Complex, air: Air, frequency_Hz: float = 40e3) -> float:
-    """Power of the sound of all transducers, each as if it were alone.
+    """Return the sum of the sound powers of all transducers, each without the others.
 
-    drive: complex amplitude of each relative to full drive, shape (n,). Each one's |p|^2/(2 rho c) over the half space
-    before it. Raises PalmfieldError for another shape.
+    drive: complex amplitude relative to full drive, shape (n,). The power is the integral of |p|^2/(2 rho c) over the
+    half space in front. Raises PalmfieldError for another shape.
     """
     if drive.shape != (len(array),):
         raise PalmfieldError(f"a drive has shape {drive.shape}: give shape ({len(array)},)")
@@ -64,25 +64,25 @@ def radiated_power_W(array: Array, drive: Complex, air: Air, frequency_Hz: float
 
 
 def demodulated_Pa(power_W: float, length_m: float, distance_m: float, frequency_Hz: Float, air: Air) -> Float:
-    """Peak pressure of the audible sound of ultrasound in air with fully modulated intensity.
+    """Return the peak pressure of the audible sound of ultrasound with fully modulated intensity, shape (k,).
 
-    power_W: of the ultrasound; length_m: of its beam; frequency_Hz: of the modulation, shape (k,)
-    Westervelt's source is a point here: right for wavelengths longer than the beam; `beam_share` for shorter ones.
+    power_W: power of the ultrasound; length_m: length of the beam; frequency_Hz: of the modulation, shape (k,)
+    Westervelt's source is modelled as a point, for wavelengths longer than the beam; for others use `beam_share`.
     """
     w = 2.0 * math.pi * np.asarray(frequency_Hz, float)
     return NONLINEARITY * w**2 * power_W * length_m / (4.0 * math.pi * sound_speed(air) ** 3 * distance_m)
 
 
 def beam_share(frequency_Hz: Float, along_m: float, aside_m: float, air: Air, carrier_Hz: float) -> Float:
-    """Factor on `demodulated_Pa`, whose source is a point, for the length of a beam, shape (k,).
+    """Return the factor on `demodulated_Pa`, whose source is a point, for the length of a beam, shape (k,).
 
-    Westervelt's sources lie along the beam, fall as exp(-2 alpha x) and have the phase of the sound, k x. The factor is
-    their sum at a listener over that of 1/(2 alpha) of them at the same distance from the beam.
-    along_m, aside_m: of the listener, along the beam from its beginning and from its axis.
+    Westervelt's sources are along the beam, decay as exp(-2 alpha x) and have the phase k x. The factor is their sum at
+    a listener over that of a point source of length 1/(2 alpha) at the same distance from the beam.
+    along_m, aside_m: position of the listener, along the beam from its beginning, and distance from the axis.
     """
     alpha = absorption_Np_m(air, carrier_Hz)
     k = 2.0 * math.pi * np.asarray(frequency_Hz, float) / sound_speed(air)
-    # A dozen parts of a wavelength at the highest frequency, as far as e^-9 of the sources
+    # 12 steps per wavelength at the highest frequency, until the sources have decayed to e^-9
     step = min(4e-3, 2.0 * math.pi / (12.0 * max(float(k.max(initial=0.0)), 1e-9)))
     x = (np.arange(math.ceil(4.5 / (alpha * step))) + 0.5) * step
     far = np.hypot(along_m - x, aside_m)
@@ -92,9 +92,9 @@ def beam_share(frequency_Hz: Float, along_m: float, aside_m: float, air: Air, ca
 
 
 def force_sound_Pa(force_N: float, distance_m: float, frequency_Hz: Float, air: Air) -> Float:
-    """Peak pressure of the sound of a small body on which a force of this amplitude acts, along the force.
+    """Return the peak pressure of the sound of an oscillating force on a small body, in the direction of the force.
 
-    A dipole with its near field; frequency_Hz: shape (k,)
+    The source is a dipole with its near field; frequency_Hz: shape (k,)
     """
     k = 2.0 * math.pi * np.asarray(frequency_Hz, float) / sound_speed(air)
     return force_N * np.sqrt(k**2 + 1.0 / distance_m**2) / (4.0 * math.pi * distance_m)

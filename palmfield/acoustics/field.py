@@ -28,33 +28,33 @@ from warp_kernels import pressure as kernels
 
 BLOCKS_PER_THREAD = 4
 PAIRS_PER_THREAD = 100_000
-"""Fewest pairs of point and transducer per thread: 0.13 ms of work against 0.02 ms to hand it over."""
+"""Smallest number of pairs (point, transducer) per thread: 0.13 ms of work, and 0.02 ms to start a thread."""
 SMALL_BLOCK_PAIRS = 250_000
-"""Blocks are not made smaller than this to balance threads [pairs of point and transducer]."""
+"""Smallest block when threads are balanced [pairs of point and transducer]."""
 
 MOST_POINTS = 2**17
-"""More points than these are computed in several turns."""
-SIZES_KEPT = 8
+"""Largest number of points in one pass; more points take several passes."""
+SIZES_STORED = 8
 THREADS_ENOUGH = 2**17
-"""Threads that fill a GPU: for fewer points the transducers are shared out as well."""
+"""Number of threads that fills a GPU; for fewer points the transducers are divided as well."""
 SHORTEST_RUN = 32
-"""Fewest transducers per thread."""
+"""Smallest number of transducers per thread."""
 
 WIDE = 1024
-"""Points that NumPy compares at once with as many others: along rows of three it takes 70 times as long."""
+"""Number of points per block of a comparison; NumPy along rows of three takes 70 times as long."""
 
 RANGE_STEP_M = 1.0 / 64.0
-"""Step of the range ends between which the decay of sound is fitted [m]. So a fit serves many poses, and depends only
-on the present positions of the points: a run repeats to the bit."""
+"""Grid of the ends of the range in which the decay of sound is fitted [m]. A fit then serves many poses, and depends
+only on the present positions of the points, so runs repeat to the bit."""
 
 CUBIC_REACH_Np = 0.4
-"""Absorption times range of distances up to which a cubic follows the exponential, with an error of 1e-5."""
+"""Largest absorption times range of distances for a cubic in place of the exponential, with an error of 1e-5."""
 
 QUADRATIC_REACH_Np = 0.08
-"""The same for a quadratic, with an error of 3e-6."""
+"""Largest absorption times range of distances for a quadratic, with an error of 3e-6."""
 
 SMOOTH = 1e-5
-"""Directivities that a quartic follows as well as this take one power less, which is a twentieth of the work."""
+"""Largest error of a quartic for directivities; it has one power less than the quintic, 1/20 of the work."""
 
 Mode = Literal["fast", "accurate"]
 MODES: tuple[Mode, ...] = ("fast", "accurate")
@@ -62,7 +62,7 @@ MODES: tuple[Mode, ...] = ("fast", "accurate")
 
 @dataclass(frozen=True)
 class Points:
-    """Points on the device of a field; array: of Warp, shape (n,); low, high: corners of a box around them [m]."""
+    """Points on the device of a field. array: Warp array, shape (n,); low, high: corners of their box [m]."""
 
     array: Any
     low: Sequence[float] = (-check.FARTHEST_m,) * 3
@@ -70,11 +70,11 @@ class Points:
 
 
 class FieldSum(ABC):
-    """The sum of one or several evaluators' fields. Safe to use from several threads at once.
+    """Sum of the fields of one or several evaluators; thread-safe.
 
-    What a call works with is kept for the next one with as many points: then only the result is allocated.
+    Buffers are stored for the next call with the same number of points, so that only the result is allocated.
 
-    device: of `resolve`; count: drives that there are; name: for errors
+    device: from `resolve`; count: number of drives; name: for errors
     """
 
     device: str
@@ -88,87 +88,84 @@ class FieldSum(ABC):
     @property
     @abstractmethod
     def parts(self) -> "Parts":
-        """Each evaluator, and which of the drives its transducers have, in its order."""
+        """Return each evaluator with the indices of the drives of its transducers, in its order."""
 
     def pressure(self, points: Any, drive: ArrayLike, gradient: bool = False, normals: Any = None) -> Field:
-        """Field at points; see `pressure` below for shapes, units and errors.
+        """Return the field at points; see function `pressure` for shapes, units and errors.
 
-        points: or a Warp array on the device, of wp.vec3, in mode accurate of wp.vec3d, shape (n,), or from `upload`.
-            The result then is Warp arrays of (real, imaginary), wp.vec2: pressure, shape (n,), and gradient, shape
-            (n, 3). On a GPU the call returns before they are ready, and Warp coordinates are not checked.
+        points: NumPy array, or a Warp array on the device of wp.vec3 (wp.vec3d in mode accurate), shape (n,), or the
+            result of `upload`. For Warp arrays the result is Warp arrays of (real, imaginary), wp.vec2: pressure, shape
+            (n,), and gradient, shape (n, 3). On a GPU the call is asynchronous, and Warp coordinates are not checked.
         drive: complex amplitudes of all transducers, shape (count,).
-        normals: unit outward, shape (n, 3), of opaque surfaces at the points: sound of transducers from behind them is
-            left out (`warp_kernels.pressure.from_front`); a Warp array of wp.vec3 where points are one. The gradient
-            comes with it.
+        normals: unit outward normals of opaque surfaces at the points, shape (n, 3), a Warp array of wp.vec3 for Warp
+            points. Sound from behind the surface is omitted (`warp_kernels.pressure.from_front`); implies gradient.
         """
         gradient = gradient or normals is not None
-        there = isinstance(points, Points | wp.array)
-        given: Any = self._on_device(points, normals) if there else check.positions(points)
+        on_device = isinstance(points, Points | wp.array)
+        where: Any = self._on_device(points, normals) if on_device else check.positions(points)
         emitted = check.amplitudes(drive, self.count, self.name)
-        total = len(given.array) if there else len(given)
+        total = len(where.array) if on_device else len(where)
         shapes: tuple[tuple[int, ...], ...] = ((total,), (total, 3)) if gradient else ((total,),)
-        if there:
+        if on_device:
             results: list[Any] = [wp.zeros(shape, dtype=wp.vec2, device=self.device) for shape in shapes]
         else:
             results = [np.zeros(shape, np.complex64) for shape in shapes]
         for start in range(0, total if self.count > 0 else 0, MOST_POINTS):
             own = slice(start, min(start + MOST_POINTS, total))
             key = own.stop - own.start, gradient, normals is not None
-            known = self._calls.get(key)
-            if known is None:
-                if len(self._calls) >= SIZES_KEPT:
+            free = self._calls.get(key)
+            if free is None:
+                if len(self._calls) >= SIZES_STORED:
                     self._calls.clear()
-                known = self._calls[key] = []
+                free = self._calls[key] = []
             try:
-                call = known.pop()
+                call = free.pop()
             except IndexError:
                 call = _Call(self.parts, *key)
             outward = None if normals is None else part(normals, own)
-            found = [part(result, own) for result in results]
-            if there:
-                call.run_there(self.parts, replace(given, array=part(given.array, own)), emitted, outward, found)
-            elif not call.run(self.parts, given[own], emitted, outward, found):
-                check.points(given, np.float64)  # says which can't be
-            known.append(call)
+            targets = [part(result, own) for result in results]
+            if on_device:
+                call.run_on_device(self.parts, replace(where, array=part(where.array, own)), emitted, outward, targets)
+            elif not call.run(self.parts, where[own], emitted, outward, targets):
+                check.points(where, np.float64)  # raises an error with the invalid point
+            free.append(call)
         return Field(*results)
 
     def upload(self, points: ArrayLike) -> Points:
-        """Points [m], shape (n, 3), on the device of the field, for several calls of `pressure`; errors as there."""
+        """Copy points [m], shape (n, 3), to the device for several calls of `pressure`, whose errors it raises."""
         one = self.parts[0][0]
         where = check.points(points, one.real)
         array: Any = wp.array(where, dtype=one.vectors[0], device=self.device)
         return Points(array, *corners(where)) if len(where) > 0 else Points(array)
 
     def _on_device(self, points: Any, normals: Any) -> Points:
-        """Points as Warp arrays. Raises PalmfieldError for arrays of another type, shape or device."""
+        """Return points as Warp arrays. Raises PalmfieldError for arrays of another type, shape or device."""
         one = self.parts[0][0]
         result = points if isinstance(points, Points) else Points(points)
         for name, array, dtype in (("points", result.array, one.vectors[0]), ("normals", normals, wp.vec3)):
-            wanted = f"Warp array of {dtype.__name__}, shape {result.array.shape[:1]}, on {self.device}"
-            found = type(array).__name__
+            required = f"Warp array of {dtype.__name__}, shape {result.array.shape[:1]}, on {self.device}"
+            actual = type(array).__name__
             if isinstance(array, wp.array):
-                found = f"Warp array of {array.dtype.__name__}, shape {array.shape}, on {array.device}"
-            if array is not None and found != wanted:
-                raise PalmfieldError(f"{name} is a {found}; allowed: a {wanted}, or points and normals as NumPy arrays")
+                actual = f"Warp array of {array.dtype.__name__}, shape {array.shape}, on {array.device}"
+            if array is not None and actual != required:
+                raise PalmfieldError(f"{name} is a {actual}; allowed: a {required}, or NumPy points and normals")
         if self.device != "cpu" or result is points or len(result.array) == 0:
             return result
         return Points(result.array, *corners(check.points(result.array.numpy(), one.real)))
 
 
 def part(values: Any, own: slice) -> Any:
-    """These values; all of them as they are, since Warp takes 10 us for a slice."""
+    """Return a slice of the values, or the values themselves if it is all of them, since Warp slices take 10 us."""
     return values if own.stop - own.start == len(values) else values[own]
 
 
 class FieldEvaluator(FieldSum):
-    """The field of one array in one air; it holds the array on the device, so that a call moves only points and drive.
-
-    On the CPU points are shared among `threads` threads.
+    """Field of one array in one air, which are stored on the device, so that a call transfers only points and drive.
 
     mode: "fast" computes in float32, whose phase error grows with distance: 1.2e-5 of the field at 0.05 to 0.4 m and
-        4e-5 at 0.4 to 1.2 m (on a GPU 2e-5 and 6e-5); "accurate" takes distance and phase in float64.
-    threads: 1 or more; None is all cores that this process may use.
-    absorption_Np_m: instead of that of the air, for example 0 for lossless air.
+        4e-5 at 0.4 to 1.2 m (on a GPU 2e-5 and 6e-5); "accurate" computes distance and phase in float64.
+    threads: number of threads on the CPU, 1 or more; None is all cores of this process.
+    absorption_Np_m: replaces the absorption of the air, for example 0 for lossless air.
     """
 
     def __init__(
@@ -207,7 +204,7 @@ class FieldEvaluator(FieldSum):
         }
 
         def sound(unit_m: float) -> Any:
-            """The kernels' numbers where lengths are in this unit."""
+            """Return the constants of the kernels for lengths in this unit."""
             return filled(
                 kernels.Sound(),
                 turns_per_m=unit_m * wavenumber / (2.0 * np.pi),
@@ -237,7 +234,7 @@ class FieldEvaluator(FieldSum):
         return kernels.Form(self._gpu, self._accurate, fall, smooth, self._groups.flat, shaded, faced)
 
     def kernel(self, fall: str, gradient: bool, shaded: bool = False, faced: bool = False) -> Any:
-        """The kernel for how sound falls off, see `falling`; shaded, faced: see `Form`."""
+        """Return the kernel for a method of decay, see `falling`; shaded, faced: see `Form`."""
         form = self._form(fall, shaded, faced)
         return with_gradient.gradient(form) if gradient else kernels.pressure(form)
 
@@ -253,18 +250,18 @@ class FieldEvaluator(FieldSum):
 
     @property
     def ranges(self) -> Int:
-        """First transducer of each group, and one past the last, counted in `order`, shape (g, 2)."""
+        """First transducer of each group and one past the last, in the numbering of `order`, shape (g, 2)."""
         return self._groups.ranges
 
     def ranges_of(self, drives: int) -> Int:
-        """`ranges`, and the first of drives and one past the last, as kernels with the gradient take them: (g, 4)."""
+        """Return `ranges` with the first drive and one past the last, for kernels with gradient, shape (g, 4)."""
         return np.insert(self.ranges, 2, [[0], [drives]], axis=1)
 
     def inputs(self, elements: Any, strengths: Any, gradient: bool, ranges: Any) -> list[Any]:
-        """Work arrays of a kernel between points and results, on the device.
+        """Return the arguments of a kernel between points and results, on the device.
 
-        elements, strengths: see `elements`, with the gradient drives; ranges: of `ranges_of`, without the gradient
-        first transducer of each group, and one past the last, wp.vec2i, shape (parts, g)
+        elements, strengths: see `elements`; ranges: from `ranges_of`, or without gradient the first transducer of each
+        group and one past the last, wp.vec2i, shape (parts, g)
         """
         if gradient:
             turns, sound, shapes = self._turns_radians, self._radians, [self._shapes]
@@ -273,9 +270,9 @@ class FieldEvaluator(FieldSum):
         return [self._origins, turns, ranges, elements, strengths, sound, *shapes]
 
     def fall(self, low: Sequence[float], high: Sequence[float], gradient: bool) -> tuple[str, Float]:
-        """Decay of the sound on its way to a box with these corners [m], see `falling`, and p0 times its coefficients.
+        """Return the method of decay to a box with these corners [m], see `falling`, and p0 times its coefficients.
 
-        The coefficients are for lengths in m, with the gradient in units of 1/k, shape (4,).
+        The coefficients, shape (4,), are for lengths in m, or with gradient in units of 1/k.
         """
         # `distances` of two boxes, without a call: each evaluation of the points of a step needs it
         gap, reach = 0.0, 0.0
@@ -286,10 +283,10 @@ class FieldEvaluator(FieldSum):
         return _fall(self.absorption_Np_m, self.array.p0_Pa_m, 1.0 / self._wavenumber if gradient else 1.0, *steps)
 
     def elements(self, gradient: bool) -> NDArray[Any]:
-        """x, y, phase and z of each transducer in the order of its groups, shape (n, 4), the phase still 0.
+        """Return x, y, phase (0) and z of each transducer in the order of its groups, shape (n, 4).
 
-        The kernels take them with strengths, shape (n, 4): p0 times amplitude times the coefficients of the fall.
-        With the gradient they take drives instead, the phase stays 0, and lengths are in units of 1/k.
+        Kernels also take strengths, shape (n, 4): p0 times amplitude times the coefficients of the decay. Kernels with
+        gradient take drives instead and lengths in units of 1/k.
         """
         elements = np.zeros((len(self.order), 4), self.real)
         elements[:, [0, 1, 3]] = (self._wavenumber if gradient else 1.0) * self._groups.places
@@ -297,12 +294,12 @@ class FieldEvaluator(FieldSum):
 
     @property
     def order(self) -> Int:
-        """The transducers of the array in the order of the kernels, shape (n,)."""
+        """Numbers of the transducers in the order of the kernels, shape (n,)."""
         return self._groups.order
 
     @property
     def phase_unit(self) -> float:
-        """The angle [rad] in which the kernels count phases: a turn, or a radian."""
+        """Unit of phase in the kernels [rad]: a turn or a radian."""
         return 1.0 if self._gpu and not self._accurate else 2.0 * np.pi
 
     def _upload(self, values: NDArray[Any], dtype: Any) -> Any:
@@ -313,9 +310,9 @@ Parts = Sequence[tuple[FieldEvaluator, Int]]
 
 
 class _Call:
-    """Buffers and recorded launches for `count` points; one call at a time uses them.
+    """Buffers and recorded launches for `count` points, for one call at a time.
 
-    On a GPU they are a graph: a copy of all that a call takes, the kernels, and a copy of the result.
+    On a GPU the launches are a graph of the upload of the inputs, the kernels, and the download of the result.
     """
 
     def __init__(self, parts: Parts, count: int, gradient: bool, faced: bool):
@@ -323,7 +320,7 @@ class _Call:
         self._device, self._gradient, self._faced = one.device, gradient, faced
         self._gpu = one.device != "cpu"
         self._guard: AbstractContextManager[object] = launching if self._gpu else nullcontext()
-        # When what was uploaded last has left the buffers
+        # Event after which the last upload has left the buffers
         self._sent = wp.Event(one.device) if self._gpu else None
         accurate = one.mode == "accurate"
         vec3, vec4, _ = one.vectors
@@ -372,7 +369,7 @@ class _Call:
         self._launches: dict[tuple[tuple[str, ...], bool], Callable[[], object]] = {}
 
     def run(self, parts: Parts, points: NDArray[Any], drive: Complex, normals: Any, results: list[Any]) -> bool:
-        """Fill pressure, and the gradient where there is one; False for points that are not finite or too far away."""
+        """Fill `results` (pressure, and gradient); return False for points that are not finite or too far away."""
         here = self._inputs.hosts["points"]
         with np.errstate(over="ignore"):
             here[...] = points
@@ -390,8 +387,8 @@ class _Call:
             result[...] = found
         return True
 
-    def run_there(self, parts: Parts, points: Points, drive: Complex, normals: Any, results: list[Any]) -> None:
-        """As `run`, from Warp arrays into Warp arrays, without waiting for the result."""
+    def run_on_device(self, parts: Parts, points: Points, drive: Complex, normals: Any, results: list[Any]) -> None:
+        """Fill Warp arrays from Warp arrays as `run`, asynchronously."""
         launch = self._prepared(parts, points.low, points.high, drive, False)
         arrays = self._inputs.arrays
         with self._guard:
@@ -408,7 +405,7 @@ class _Call:
     def _prepared(
         self, parts: Parts, low: Sequence[float], high: Sequence[float], drive: Complex, copied: bool
     ) -> Callable[[], object]:
-        """Launches for points in a box, with copies from and to the host if `copied`, after the drive has been put."""
+        """Store the drive; return launches for points in a box, with copies from and to the host if `copied`."""
         falls = [one.fall(low, high, self._gradient) for one, _ in parts]
         key = tuple(kind for kind, _ in falls), copied
         launch = self._launches.get(key)
@@ -452,12 +449,12 @@ class _Call:
 
 
 def scratch(device: str) -> Any:
-    """Work arrays of the kernels with the gradient, each while it runs."""
+    """Return the work arrays of the kernels with gradient, which each uses while it runs."""
     return wp.empty(with_gradient.SCRATCH if device == "cpu" else 0, dtype=wp.float32, device=device)
 
 
 def shared_out(one: FieldEvaluator, count: int, transducers: int, threads: int) -> tuple[int, list[slice]]:
-    """Number of useful threads for these points, and the blocks of points that they share."""
+    """Return the number of useful threads for these points, and the blocks of points for the threads."""
     pairs = count * transducers
     if one.device != "cpu" or pairs == 0:
         return 1, [slice(0, count)]
@@ -469,13 +466,13 @@ def shared_out(one: FieldEvaluator, count: int, transducers: int, threads: int) 
 
 
 def splits(one: FieldEvaluator, count: int) -> int:
-    """Number of parts of the transducers, so that there are enough threads for these points."""
+    """Return the number of parts into which transducers are divided, so that there are enough threads."""
     threads = -(-count // one.points_per_thread)
     return 1 if one.device == "cpu" else max(1, min(len(one.array) // SHORTEST_RUN, THREADS_ENOUGH // threads))
 
 
 def split(ranges: Int, parts: int) -> Int:
-    """Ranges (g, 2) in parts of equal length, shape (parts, g, 2)."""
+    """Return ranges (g, 2) in parts of equal length, shape (parts, g, 2)."""
     first, stop = ranges[:, 0], ranges[:, 1]
     ends = first + (stop - first) * np.arange(parts + 1)[:, None] // parts
     return np.stack([ends[:-1], ends[1:]], axis=2).astype(np.int32)
@@ -485,7 +482,7 @@ ENDS: tuple[Any, Any] = (np.minimum.reduce, np.maximum.reduce)
 
 
 def corners(points: NDArray[Any]) -> tuple[list[float], list[float]]:
-    """Least and largest x, y, z of points, contiguous, shape (n, 3), n > 0; NaN where one is."""
+    """Return smallest and largest x, y, z of contiguous points, shape (n, 3), n > 0; NaN if a coordinate is NaN."""
     whole = len(points) // WIDE * WIDE
     if whole > 2 * WIDE:
         wide = points[:whole].reshape(-1, 3 * WIDE)
@@ -495,7 +492,7 @@ def corners(points: NDArray[Any]) -> tuple[list[float], list[float]]:
 
 
 def distances(points: NDArray[Any], positions: Float) -> tuple[float, float]:
-    """Bounds of the distance between any point and any position [m], from their boxes."""
+    """Return bounds of the distances between points and positions [m], from their boxes."""
     gap, reach = 0.0, 0.0
     for first, last, least, most in zip(*corners(np.ascontiguousarray(points)), *corners(positions), strict=True):
         gap += max(least - last, first - most, 0.0) ** 2
@@ -505,7 +502,7 @@ def distances(points: NDArray[Any], positions: Float) -> tuple[float, float]:
 
 @functools.lru_cache(maxsize=256)
 def _fall(absorption_Np_m: float, p0_Pa_m: float, unit_m: float, near: int, far: int) -> tuple[str, Float]:
-    """`FieldEvaluator.fall` between two distances in RANGE_STEP_M."""
+    """Return `FieldEvaluator.fall` between two distances in RANGE_STEP_M."""
     kind, fall = falling(absorption_Np_m, near * RANGE_STEP_M, far * RANGE_STEP_M)
     # For distances in the unit, so that amplitudes over distance stay in Pa
     scaled: Float = p0_Pa_m * fall * unit_m ** np.array([-1.0, 0.0, 1.0, 2.0])
@@ -514,7 +511,7 @@ def _fall(absorption_Np_m: float, p0_Pa_m: float, unit_m: float, near: int, far:
 
 
 def falling(absorption_Np_m: float, low: float, high: float) -> tuple[str, Float]:
-    """Method of the kernels for exp(-absorption d) for d from low to high [m], and its coefficients, shape (4,)."""
+    """Return the kernels' method for exp(-absorption d), d from low to high [m], and its coefficients, shape (4,)."""
     reach = absorption_Np_m * (high - low)
     if reach > CUBIC_REACH_Np:
         return "exponential", np.array([1.0, 0.0, 0.0, 0.0])
@@ -525,16 +522,16 @@ def falling(absorption_Np_m: float, low: float, high: float) -> tuple[str, Float
 
 @functools.cache
 def _chebyshev(power: int) -> tuple[Float, Float]:
-    """Points of -1 to 1, shape (power + 1,), and the matrix from values there to the coefficients of a polynomial."""
+    """Return nodes in -1 to 1, shape (power + 1,), and the matrix from values there to polynomial coefficients."""
     points = np.cos(np.pi * (np.arange(power + 1.0) + 0.5) / (power + 1))
     return points, np.linalg.inv(np.vander(points, increasing=True))
 
 
 def polynomial_fall(absorption_Np_m: float, low: float, high: float, power: int = 3) -> Float:
-    """Coefficients, lowest power first, shape (4,), of exp(-absorption d) for d from low to high [m].
+    """Return coefficients, lowest power first, shape (4,), of exp(-absorption d) for d from low to high [m].
 
-    It interpolates the exponential at Chebyshev's points. NumPy's own interpolation takes 190 Python calls, too many
-    between the steps of a simulation.
+    The exponential is interpolated at Chebyshev nodes. NumPy's interpolation takes 190 Python calls, too many between
+    the steps of a simulation.
     """
     fall = np.zeros(4)
     if absorption_Np_m == 0.0 or high <= low:
@@ -552,9 +549,9 @@ def polynomial_fall(absorption_Np_m: float, low: float, high: float, power: int 
 
 
 def off_axis(array: Array, wavenumber: float) -> tuple[Float, Float, bool]:
-    """Directivity in q = cos^2 of the angle off the axis, and twice its derivative in q, shapes (6,), (6,).
+    """Return the directivity in q = cos^2 of the angle off the axis, and twice its derivative in q, shapes (6,), (6,).
 
-    The last is whether they are a quartic and a cubic (padded with zeros), see SMOOTH.
+    The third value is whether they are a quartic and a cubic (padded with zeros), see SMOOTH.
     """
     in_sine, _ = directivity_coefficients(array, wavenumber)
     return _in_cosine(tuple(in_sine.tolist()))
@@ -562,7 +559,7 @@ def off_axis(array: Array, wavenumber: float) -> tuple[Float, Float, bool]:
 
 @functools.lru_cache(maxsize=64)
 def _in_cosine(in_sine: tuple[float, ...]) -> tuple[Float, Float, bool]:
-    """`off_axis` from a polynomial in sin^2. Arrays that move get new evaluators each step: it is kept for them."""
+    """Return `off_axis` from a polynomial in sin^2; cached, since moving arrays get new evaluators in each step."""
     quintic: Any = Polynomial(in_sine)(Polynomial([1.0, -1.0]))
     slope: Any = 2.0 * quintic.deriv()
     quartic = Chebyshev.interpolate(quintic, 4, domain=[0.0, 1.0])
@@ -577,7 +574,7 @@ def _in_cosine(in_sine: tuple[float, ...]) -> tuple[Float, Float, bool]:
 
 
 def padded(function: Polynomial | Chebyshev, count: int) -> Float:
-    """Coefficients, lowest power first, with zeros up to `count`."""
+    """Return coefficients, lowest power first, with zeros up to `count`."""
     coefficients = np.asarray(function.convert(kind=Polynomial).coef, dtype=float)
     return np.pad(coefficients, (0, count - len(coefficients)))
 
@@ -593,18 +590,18 @@ def pressure(
     mode: Mode = "fast",
     warn: bool = True,
 ) -> Field:
-    """Incident field of an array: p = p0/d A g D(angle) exp(ikd - beta d) summed over its transducers.
+    """Return the incident field of an array: p = p0/d A g D(angle) exp(ikd - beta d) summed over its transducers.
 
-    D is 1 for a point, 2 J1(kb sin)/(kb sin) for a baffled piston, or a measured table; g is the gain of the
-    transducer; beta is ISO 9613-1 absorption. A transducer emits no sound in or behind its own plane. These are far
-    fields: they do not hold within a few k b^2/2 (7 mm for b = 4.5 mm at 40 kHz) of a transducer.
-    For many calls with one array use FieldEvaluator, which keeps the array on the device and can change the absorption.
+    D is 1 for a point, 2 J1(kb sin)/(kb sin) for a baffled piston, or a measured table; A is the drive, g the gain of
+    the transducer, beta the ISO 9613-1 absorption. A transducer emits no sound in or behind its own plane. The far
+    field of a transducer is not valid within a few k b^2/2 (7 mm for b = 4.5 mm at 40 kHz).
+    For many calls with one array use FieldEvaluator, which stores the array on the device and can set the absorption.
 
     points: [m], array frame, shape (n, 3).
     drive: complex amplitudes, 1 is full drive, shape (len(array),).
-    gradient: also the gradient of the whole expression. mode: see FieldEvaluator.
-    warn: give a PalmfieldWarning, once a call, where sound is too loud for a linear field or a point too near for the
-        far field of the transducers; see `palmfield.acoustics.validity.warnings`. FieldEvaluator gives none.
+    gradient: whether to compute the gradient. mode: see FieldEvaluator.
+    warn: whether to give a PalmfieldWarning if sound is too loud for a linear field or a point is too near for the far
+        field of the transducers; see `palmfield.acoustics.validity.warnings`. FieldEvaluator gives no warnings.
     Returns Field: complex peak pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), or None.
     Raises PalmfieldError for NaN, infinity or a wrong shape in points or drive, SceneError for a bad array or air.
     """

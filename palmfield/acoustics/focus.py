@@ -1,4 +1,4 @@
-"""Drives that focus an array, and that make up for what its transducers get wrong."""
+"""Drives that focus an array, and that compensate phase errors of its transducers."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,11 +10,11 @@ from palmfield.types import Air, Array, Complex
 
 
 def focus(array: Array, air: Air, point: ArrayLike) -> Complex:
-    """Drive under which the sound of every transducer arrives at `point` in phase: exp(-i k d), unit amplitude.
+    """Return the drive for which the sound of all transducers arrives at `point` in phase: exp(-i k d), amplitude 1.
 
     point: position in the array frame [m], shape (3,)
     Returns complex amplitudes, shape (len(array),), complex128.
-    Raises SceneError when the point is not finite, or not in front of every transducer.
+    Raises SceneError if the point is not finite, or not in front of every transducer.
     """
     check.array(array)
     target = np.asarray(point, dtype=float)
@@ -27,11 +27,11 @@ def focus(array: Array, air: Air, point: ArrayLike) -> Complex:
 
 
 def compensate(array: Array, drive: ArrayLike) -> Complex:
-    """Drive that compensates the phase errors in `gain` of the array: every transducer emits its commanded phase.
+    """Return a drive that compensates the phases in `gain` of the array, so that transducers emit the commanded phases.
 
-    Magnitudes do not change, because a transducer at full drive cannot be made louder; a dead one (gain 0) gets 0.
+    Magnitudes are not changed, because a transducer at full drive cannot be louder; dead transducers (gain 0) get 0.
 
-    drive: complex amplitudes that a faultless array should emit, shape (len(array),).
+    drive: complex amplitudes for an array without errors, shape (len(array),).
     Returns complex amplitudes, shape (len(array),), complex128.
     Raises PalmfieldError for a drive of another shape or not finite, SceneError for a bad array.
     """

@@ -1,4 +1,4 @@
-"""Transducers sorted by plane and axis, as the field kernels take them."""
+"""Sort transducers by plane and axis for the field kernels."""
 
 import itertools
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ from palmfield.types import Array, Float, Int
 SAME_PLANE_M = 1e-9
 SAME_AXIS = 1e-9
 FLAT_FROM = 32
-"""Transducers per saved plane up to which a height for every transducer costs less than separate planes: beginning a
-group costs as much as two to four pairs, a height a twentieth to a tenth of a pair."""
+"""Transducers per saved plane up to which a height for every transducer costs less than separate planes. A new group
+costs as much as two to four pairs (point, transducer), a height 1/20 to 1/10 of a pair."""
 
 
 @dataclass(frozen=True)
 class Groups:
-    """Transducers of each group radiate along one axis, and lie in one plane across it if `flat`.
+    """Groups of transducers with one axis, each in one plane normal to the axis if `flat`.
 
-    order: the transducers of the array, group after group, shape (n,).
-    origins: of the frame of each group [m], array frame, shape (g, 3); turns: rotations from the array frame into it,
-        rows are its axes, shape (g, 3, 3).
-    ranges: first transducer and one past the last, counted in `order`, shape (g, 2).
+    order: numbers of the transducers by group, shape (n,).
+    origins: origin of the frame of each group [m], array frame, shape (g, 3); turns: rotations from the array frame
+        into the group frame, whose rows are its axes, shape (g, 3, 3).
+    ranges: first transducer and one past the last, in the numbering of `order`, shape (g, 2).
     places: x, y, z of the ordered transducers in the frame of their group [m], shape (n, 3); z is 0 if `flat`.
     """
 
@@ -61,12 +61,12 @@ def groups(array: Array) -> Groups:
 
 
 def numbered(rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The number of the kind of each row, from 0 without gaps, shape (n,)."""
+    """Return for each row the number of its distinct value, from 0 without gaps, shape (n,)."""
     return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def axes(normals: Float) -> Float:
-    """Right-handed unit axes, rows, shape (..., 3, 3), the last along `normals`, shape (..., 3)."""
+    """Return right-handed unit axes as rows, shape (..., 3, 3), the last along `normals`, shape (..., 3)."""
     helper = np.where(np.abs(normals[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     x = helper - np.sum(helper * normals, axis=-1, keepdims=True) * normals
     x /= np.linalg.norm(x, axis=-1, keepdims=True)

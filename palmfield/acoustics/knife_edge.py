@@ -1,7 +1,7 @@
-"""Shadows with diffracting edges: the sound of each transducer at a point, weighted by the share that passes bodies.
+"""Shadows with diffraction at edges: the sound of each transducer at a point is weighted by the share passing bodies.
 
-The weight is Kirchhoff's integral over a screen in the outline of the bodies, as seen from the points. At one straight
-edge it is Fresnel's integral of the clearance; behind a finger it adds the sound round both its sides and its tip.
+The weight is Kirchhoff's integral over a screen with the outline of the bodies, as seen from the points. For one
+straight edge it is Fresnel's integral of the clearance; behind a finger it adds the sound round both sides and the tip.
 """
 
 import itertools
@@ -28,32 +28,33 @@ from warp_kernels.pressure import vec6
 
 PARTS_PER_THREAD = 4
 LONGEST_m = 4e-3
-"""Length of a piece of an outline: half a wavelength, over which the path length round it hardly changes."""
+"""Longest piece of an outline: half a wavelength, over which the length of the diffracted path hardly changes."""
 STRETCH = 1.5
-"""Largest growth of an edge as bodies bend; a longer one loses pieces."""
+"""Largest relative length of an edge when bodies bend; longer edges lose pieces."""
 CLEARANCE_m, LIFT_m = 5e-3, 6e-3
-"""Height above its highest point at which a skin is cut off from its obstacles, and of the viewpoint of a point."""
-BESIDE_m = 1e-5
-"""Distance from a piece of an outline within which no body may be in the way."""
+"""Heights above the highest point of a skin: of the plane below which obstacles are ignored, and of the viewpoint."""
+NEARBY_m = 1e-5
+"""Distance from a piece of an outline within which bodies do not block the sound."""
 MARGIN_m = 0.04
-"""Distance from the path of the sound within which bodies are included: Fresnel's v of 2.7 half way over 200 mm."""
+"""Distance from the path of the sound within which bodies are included: Fresnel's v is 2.7 half way over 200 mm."""
 SAME_m = 1e-8
-"""Vertices nearer to each other are one: bodies may have one for each face."""
+"""Vertices nearer to each other than this are merged, since bodies may have separate vertices for each face."""
 WIDEST = 2.8
-"""Clearance, in Fresnel's v, beyond which an edge has no effect. From 2 on the diffracted sound fades out."""
+"""Clearance, as Fresnel's v, beyond which an edge has no effect; from v = 2 on the diffracted sound is faded out."""
 
 
 class OutlineMesh:
-    """The edges of the obstacles, with the faces on both sides. One mesh serves many sets of points.
+    """Edges of the obstacles with the faces on both sides, for any number of sets of points.
 
-    tree: of the bodies, which moves with them; vertices: in a reference pose [m], shape (v, 3); faces: shape (f, 3)
+    tree: hierarchy of the bodies, which moves with them; vertices: in a reference pose [m], shape (v, 3); faces: shape
+    (f, 3)
     """
 
     def __init__(self, tree: wp.Mesh, vertices: Float, faces: Int):
         self.device = str(tree.device)
         self._tree = tree
         edges, lengths, longest = _edges(vertices, faces)
-        # Consecutive entries are near one another
+        # Sorted so that consecutive entries are near each other
         by_place = _along_a_curve(vertices[edges[:, :2]].mean(axis=1), *_span(vertices))
         edges, lengths = edges[by_place], lengths[by_place]
         listed = _along_a_curve(vertices[faces].mean(axis=1), *_span(vertices))
@@ -75,7 +76,7 @@ class OutlineMesh:
         )
 
     def calls(self) -> Calls:
-        """Launches that bring the faces' planes where the vertices are."""
+        """Return launches that compute the planes of the faces from the vertices."""
         make = _launcher(self.device)
         return [
             make(outline.face_planes, self.faces, [self.mesh, 0], self.device),
@@ -84,9 +85,9 @@ class OutlineMesh:
 
 
 class Emitters:
-    """The transducers of the arrays of a scene as input of the kernels of weights.
+    """Transducers of the arrays of a scene as input of the kernels for the weights.
 
-    arrays: in their present pose. rows: the row of each transducer's weights, shape (N,). device: of `device.resolve`
+    arrays: in their present pose. rows: row of each transducer in the weights, shape (N,). device: of `device.resolve`
     """
 
     def __init__(self, arrays: PhasedArray, rows: Int, device: str):
@@ -126,7 +127,7 @@ class Emitters:
         self.move(arrays, rows)
 
     def move(self, arrays: PhasedArray, rows: Int) -> None:
-        """Take new places of the same transducers, and the rows for their weights."""
+        """Set new positions of the same transducers, and their rows in the weights."""
         self._rows.put(np.where(self._fills, -1, rows[self._numbers]))
         for shared, values in zip(self._places, arrays.array.positions[self._numbers].T, strict=True):
             shared.put(values)
@@ -141,22 +142,22 @@ class Emitters:
 
     @property
     def facing(self) -> Any:
-        """Mean direction of each array and the height of its middle along it [m], on the device, shape (parts,)."""
+        """Mean direction of each array and height of its centre along it [m], on the device, shape (parts,)."""
         return self._boards.array
 
 
 class KnifeEdges:
-    """Weights of the sound of each transducer at the points of one surface behind bodies, for one pose after another.
+    """Weights of the sound of each transducer at the points of one surface behind bodies, for successive poses.
 
-    It belongs to the state of one simulation and is used by one thread at a time; on the CPU it takes helper threads.
+    It is part of the state of one simulation and not thread-safe; on the CPU it starts threads itself.
 
-    shades: on the device; `evaluate`, or the launches of `stages`, fill them
+    shades: weights on the device, computed by `evaluate` or by the launches of `stages`
     """
 
     def __init__(
         self, mesh: OutlineMesh, emitters: Emitters, nodes: ShadowNodes, points: int, threads: int | None = None
     ):
-        """points: at how many; threads: on the CPU, 1 or more; None is all cores that this process may use"""
+        """points: number of points; threads: on the CPU, 1 or more, None is all cores of this process"""
         device = self.device = emitters.device
         self._mesh, self._emitters, self.nodes = mesh, emitters, nodes
         self._threads = 1 if device != "cpu" else cores() if threads is None else threads
@@ -193,7 +194,7 @@ class KnifeEdges:
         self._stages: list[list[Calls]] = []
 
     def choose(self, points: Int) -> None:
-        """Set the points of the next weights, by number among those of the nodes; as many as at first."""
+        """Set the points of the next weights, by their numbers among the points of the nodes; their count is fixed."""
         if points is not self._chosen:
             for shared, values in ((self._neighbours, self.nodes.neighbours), (self._shares, self.nodes.shares)):
                 shared.host[:, : self._count] = values[:, points]
@@ -201,9 +202,9 @@ class KnifeEdges:
             self._chosen = points
 
     def evaluate(self, places: Float | Float32, normals: Float | Float32) -> bool:
-        """Fill `shades`; return False if no body is in the way of any transducer, and `shades` is unchanged.
+        """Compute `shades`; return False, with `shades` unchanged, if no body blocks the sound of any transducer.
 
-        places: of the nodes [m], and unit outward normals there, array frame, shapes (m, 3); the mesh is in place
+        places: nodes [m]; normals: unit outward normals there; array frame, shapes (m, 3); the mesh must be up to date
         """
         for shared, values in zip(self._places, (places, normals), strict=True):
             shared.host[...] = values
@@ -226,11 +227,11 @@ class KnifeEdges:
         return True
 
     def stages(self, points: Any, normals: Any, numbers: Int) -> list[list[Calls]]:
-        """Launches by stage, each of lists of which none needs the result of another.
+        """Return the launches of each stage, as lists that can run in parallel.
 
-        The stages: find bodies near the paths; find their edges in the way; weights at nodes; weights at points.
+        Stages: find bodies near the paths; find their blocking edges; weights at nodes; weights at points.
 
-        points, normals: on the device, vec3; numbers: of the nodes among them, shape (m,)
+        points, normals: on the device, vec3; numbers: numbers of the nodes among the points, shape (m,)
         """
         device, gpu, mesh, emitters = self.device, self.device != "cpu", self._mesh, self._emitters
         make, width = _launcher(device), kernels.WIDTH["gpu" if gpu else "cpu"]
@@ -241,11 +242,11 @@ class KnifeEdges:
             view, views = first * emitters.count, count * emitters.count
             placed = [points, normals, of_nodes, self._starts, emitters.facing, emitters.board]
             placed += [CLEARANCE_m, LIFT_m, MARGIN_m, looks, first]
-            found = [mesh.mesh, looks, mesh.slots, LONGEST_m, BESIDE_m, REACH_m, pieces, view]
+            searched = [mesh.mesh, looks, mesh.slots, LONGEST_m, NEARBY_m, REACH_m, pieces, view]
             look.append(
                 [
                     make(outline.place_views, (count, emitters.count), placed, device),
-                    make(outline.find_pieces, (views, mesh.runs), found, device),
+                    make(outline.find_pieces, (views, mesh.runs), searched, device),
                     make(outline.list_pieces, views, [pieces, mesh.slots, view], device),
                 ]
             )
@@ -260,35 +261,35 @@ class KnifeEdges:
         for first, count in _parts(len(numbers), 1 if gpu else parts):
             inputs = [nodes, emitters.emitters, emitters.waves, self._across.array, pieces, *self._at_nodes]
             weigh.append([make(kernels.node_weights(gpu), (count, blocks), [*inputs, emitters.count, first], device)])
-        told = [self._across.array, emitters.count, self._clear]
-        weigh.append([make(kernels.find_clear, len(numbers), told, device)])
-        there, rows, _ = self.shades.real.shape
-        for first, count in _parts(there, 1 if gpu else parts):
+        checked = [self._across.array, emitters.count, self._clear]
+        weigh.append([make(kernels.find_clear, len(numbers), checked, device)])
+        point_blocks, rows, _ = self.shades.real.shape
+        for first, count in _parts(point_blocks, 1 if gpu else parts):
             inputs = [self._neighbours.array, self._shares.array, *self._at_nodes, *self.shades, self._clear, first]
-            size = (rows, there * kernels.BLOCK) if gpu else count
+            size = (rows, point_blocks * kernels.BLOCK) if gpu else count
             give.append([make(kernels.spread(gpu), size, inputs, device)])
         return [look, across, weigh, give]
 
 
 def _launcher(device: str) -> Callable[..., Callable[[], object]]:
-    """On a GPU launches must be known when a graph is captured."""
+    """Return the function for launches: recorded on the CPU, immediate on a GPU, where a graph captures them."""
     return recorded if device == "cpu" else launch
 
 
 def _parts(count: int, parts: int) -> list[tuple[int, int]]:
-    """First and number of each of up to `parts` parts of `count` things."""
+    """Return first index and length of each of up to `parts` parts of `count` items."""
     ends = np.unique(np.linspace(0, count, min(parts, count) + 1).astype(int)).tolist()
     return [(first, last - first) for first, last in itertools.pairwise(ends)]
 
 
 def _span(vertices: Float) -> tuple[Float, float]:
-    """The lowest corner of a box round points [m], shape (3,), and its longest edge [m]."""
+    """Return the lowest corner of the box of points [m], shape (3,), and its longest edge [m]."""
     low = vertices.min(axis=0)
     return low, float((vertices.max(axis=0) - low).max())
 
 
 def _along_a_curve(points: Float, low: Float, size_m: float) -> Int:
-    """Order in which neighbours mostly follow one another: along a Morton curve through a box, shape (n,)."""
+    """Return the order of points along a Morton curve through a box, in which neighbours are mostly close, (n,)."""
     steps = np.clip((points - low) / max(size_m, SAME_m) * 1023.0, 0, 1023).astype(np.int64)
     keys = np.zeros(len(points), np.int64)
     for bit in range(10):
@@ -298,7 +299,7 @@ def _along_a_curve(points: Float, low: Float, size_m: float) -> Int:
 
 
 def _edges(vertices: Float, faces: Int) -> tuple[Int, Float, Float]:
-    """Edges as `outline.Mesh` has them, shape (e, 4), their lengths [m], and the longest edge of each face [m]."""
+    """Return edges as in `outline.Mesh`, shape (e, 4), their lengths [m], and the longest edge of each face [m]."""
     same = np.unique(np.round(vertices / SAME_m), axis=0, return_inverse=True)[1].reshape(-1)
     starts, ends = faces.T.ravel(), faces[:, [1, 2, 0]].T.ravel()
     own = np.tile(np.arange(len(faces)), 3)
@@ -306,7 +307,7 @@ def _edges(vertices: Float, faces: Int) -> tuple[Int, Float, Float]:
     longest = lengths.reshape(3, -1).max(axis=0)
     low, high = np.minimum(same[starts], same[ends]), np.maximum(same[starts], same[ends])
     up = same[starts] < same[ends]
-    # Of the faces at an edge those that have it upwards come first: each goes with one that has it downwards
+    # Of the faces at an edge, those with the edge upwards come first; each is paired with one with the edge downwards
     order = np.lexsort((~up, high, low))
     order = order[low[order] != high[order]]
     rows = []

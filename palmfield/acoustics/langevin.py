@@ -1,4 +1,4 @@
-"""Radiation stress of any sound field in air, and the force on what a closed surface holds."""
+"""Radiation stress of any sound field in air, and the force on the bodies inside a closed surface."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,11 +10,11 @@ from palmfield.types import Air, Field, Float
 
 
 def radiation_stress(field: Field, air: Air, frequency_Hz: float) -> Float:
-    """Time-averaged flux of momentum [Pa], shape (n, 3, 3): entry (i, j) is the i-momentum that flows along j.
+    """Return the time-averaged momentum flux [Pa], shape (n, 3, 3): entry (i, j) is the flux of i-momentum along j.
 
-    (<p^2>/(2 rho c^2) - rho <u^2>/2) I + rho <u u>, to second order (Brillouin's tensor), which with peak amplitudes is
-    (|p|^2/(4 rho c^2) - rho |u|^2/4) I + (rho/2) Re(u u*^T), u = grad p/(i w rho). A travelling plane
-    wave carries E = |p|^2/(2 rho c^2) along its direction and 0 across it.
+    Brillouin's tensor, to second order: (<p^2>/(2 rho c^2) - rho <u^2>/2) I + rho <u u>. With peak amplitudes it is
+    (|p|^2/(4 rho c^2) - rho |u|^2/4) I + (rho/2) Re(u u*^T), u = grad p/(i w rho). In a travelling plane wave it is
+    E = |p|^2/(2 rho c^2) along the direction of the wave and 0 across it.
 
     field: total pressure and gradient, n points
     Raises PalmfieldError for a field without gradient, SceneError for a frequency that is not positive and bad air.
@@ -34,12 +34,12 @@ def radiation_stress(field: Field, air: Air, frequency_Hz: float) -> Float:
 
 
 def radiation_force(field: Field, normals: ArrayLike, areas: ArrayLike, air: Air, frequency_Hz: float) -> Float:
-    """Force on what the closed surface holds [N], shape (3,): less the momentum that flows out through it.
+    """Return the force on the bodies inside a closed surface [N], shape (3,): minus the outward momentum flux.
 
-    In lossless air every surface around the same bodies gives the same force.
+    In lossless air all surfaces around the same bodies give the same force.
 
-    field: total sound at the middle of each surface element, n points
-    normals: unit, outward, shape (n, 3); areas: or weights of a quadrature [m2], shape (n,)
+    field: total sound at the centre of each surface element, n points
+    normals: unit, outward, shape (n, 3); areas: areas or quadrature weights [m2], shape (n,)
     Raises as `radiation_stress`, and PalmfieldError for normals or areas of another length.
     """
     outward, weight = np.asarray(normals, dtype=float), np.asarray(areas, dtype=float)

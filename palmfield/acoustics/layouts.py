@@ -23,17 +23,16 @@ TRANSDUCER_DIAMETER_M = 10e-3
 """Outer diameter of the common 40 kHz transducers."""
 
 SONICSURFACE_BLOCK = ((0, 7, 1, 2), (4, 3, 6, 5))
-"""Addresses within one block of 2 rows and 4 columns, rows in the direction of +y.
+"""Addresses in a block of 2 rows and 4 columns, rows in the direction of +y.
 
-Blocks follow one another up the board, 8 addresses each; 8 blocks make a strip of 64 addresses, and strips follow one
-another to the right.
+Blocks of 8 addresses are numbered up the board. Strips of 8 blocks are numbered from left to right.
 """
 
 OPENMPD_BLOCK = ((1, 5), (0, 4), (3, 6), (2, 7))
-"""Bytes within one block of 4 columns and 2 rows, by column to the right and by row downwards.
+"""Bytes in a block of 4 columns and 2 rows, by column to the right and by row downwards.
 
-Blocks follow one another up the board, 8 bytes each; 8 blocks make a strip of 64 bytes, and strips follow one another
-to the left. Pin map of the vendor in this form (`pin_ROM`, PinMapping.vhd of RMResearch/OpenMPD_Hardware, FPGA 3.4.2).
+Blocks of 8 bytes are numbered up the board. Strips of 8 blocks are numbered from right to left. This is the pin map of
+the vendor (`pin_ROM`, PinMapping.vhd of RMResearch/OpenMPD_Hardware, FPGA 3.4.2).
 """
 
 BOW_TILT_DEG = 30.0
@@ -47,11 +46,11 @@ Point = tuple[float, float, float]
 class Layout:
     """One known board.
 
-    about: a description. source: of its values, and the values that it leaves open.
-    focus: the point at which it is commonly used [m], array frame, or a function that finds it for the array.
-    build: makes the array, with a p0 that `palmfield.acoustics.arrays.layout` replaces.
-    p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]. quality: of its resonance.
-    earlier: layouts that this name meant before, first version first.
+    about: description. source: source of the values, and the values that it does not state.
+    focus: usual focus [m], array frame, or a function that computes it from the array.
+    build: function that makes the array, with a p0 that `palmfield.acoustics.arrays.layout` replaces.
+    p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]. quality: quality factor of the
+    resonance. earlier: former layouts of this name, first version first.
     """
 
     about: str
@@ -64,35 +63,35 @@ class Layout:
 
     @property
     def focus_m(self) -> Point:
-        """The point at which it is commonly used [m], array frame."""
+        """Usual focus [m], array frame."""
         return self.focus(self.build()) if callable(self.focus) else self.focus
 
     @property
     def version(self) -> int:
-        """Counts from 1; files about the transducers of an array record it."""
+        """Version number from 1, recorded in files on the transducers of an array."""
         return len(self.earlier) + 1
 
 
 def lattice(columns: int, rows: int, pitch_m: float) -> Float:
-    """Sites of a flat board in z = 0 [m], shape (columns rows, 3), centred: row by row from low y, x runs fastest."""
+    """Return centred sites of a flat board in z = 0 [m], shape (columns rows, 3), by rows from low y, x fastest."""
     y, x = np.meshgrid(np.arange(rows) - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2, indexing="ij")
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * pitch_m
 
 
 def grid(pitch_m: float) -> Float:
-    """Sites of a flat 16 x 16 board [m], shape (256, 3), in the order of `lattice`."""
+    """Return the sites of a flat 16 x 16 board [m], shape (256, 3), in the order of `lattice`."""
     return lattice(16, 16, pitch_m)
 
 
 def sonicsurface_order() -> Int:
-    """Address of each site of `grid` on a SonicSurface board, shape (256,)."""
+    """Return the address of each site of `grid` on a SonicSurface board, shape (256,)."""
     row, column = np.divmod(np.arange(256), 16)
     block = np.array(SONICSURFACE_BLOCK)
     return (64 * (column // 4) + 8 * (row // 2) + block[row % 2, column % 4]).astype(np.int32)
 
 
 def centred(array: Array) -> Array:
-    """The array moved so that its transducers' centroid is the origin."""
+    """Return the array moved so that the centroid of the transducers is the origin."""
     return placed(array, -array.positions.mean(axis=0), np.eye(3))
 
 
@@ -111,34 +110,34 @@ def sonicsurface() -> Array:
 
 
 def openmpd_order() -> Int:
-    """Byte of each transducer of an OpenMPD board, shape (256,), in the order of the vendor: column by column from the
-    left, each from above."""
+    """Return the byte of each transducer of an OpenMPD board, shape (256,), in the order of the vendor: by columns from
+    the left, each from above."""
     column, row = np.divmod(np.arange(256), 16)
     block = np.array(OPENMPD_BLOCK)
     return (192 - 64 * (column // 4) + 8 * (7 - row // 2) + block[column % 4, row % 2]).astype(np.int32)
 
 
 def openmpd() -> Array:
-    """In columns from low x, y falls fastest: the transducer order of the vendor, with their bytes as addresses."""
+    """OpenMPD in the transducer order of the vendor (columns from low x, each from high y), with bytes as addresses."""
     x, y, z = grid(10.5e-3).reshape(16, 16, 3)[::-1].transpose(2, 1, 0).reshape(3, 256)
     normals = np.tile([0.0, 0.0, 1.0], (256, 1))
     return from_poses("openmpd", np.column_stack([x, y, z]), normals, address=openmpd_order())
 
 
 def openmpd_rows() -> Array:
-    """In rows from low y, x runs fastest, byte by byte."""
+    """OpenMPD in byte order, by rows from low y, x fastest."""
     normals = np.tile([0.0, 0.0, 1.0], (256, 1))
     return from_poses("openmpd_rows", grid(10.5e-3), normals, address=np.arange(256, dtype=np.int32))
 
 
 def ultraino() -> Array:
-    """64 transducers in the order of the signals of an Ultraino board, in rows from low y, x runs fastest."""
+    """64 transducers in the order of the signals of an Ultraino board, by rows from low y, x fastest."""
     normals = np.tile([0.0, 0.0, 1.0], (64, 1))
     return from_poses("ultraino", lattice(8, 8, 10.5e-3), normals, address=np.arange(64, dtype=np.int32))
 
 
 def autd_board() -> Array:
-    """An AUTD unit; origin at the centre of the rectangle of 18 x 14 sites, not at the centroid of the 249 in use."""
+    """An AUTD unit. The origin is the centre of the 18 x 14 sites, not the centroid of the 249 transducers."""
     sites = lattice(AUTD_COLUMNS, AUTD_ROWS, AUTD_PITCH_M)
     missing = [AUTD_COLUMNS * row + column for column, row in AUTD_MISSING]
     positions = np.delete(sites, missing, axis=0)
@@ -151,8 +150,8 @@ def autd2018() -> Array:
 
 
 def autd2018_2x2() -> Array:
-    """Four units, left column then right, from below: the margins are left and below in the left column, and right and
-    above in the right column, whose units are turned by half a turn."""
+    """Four units by columns from the left, each from below. Margins are left and below in the left column, and right
+    and above in the right column, whose units are rotated by 180 degrees."""
     board = autd_board()
     # from the centre of the board to that of its sites, which reach the right and upper edges of the board
     aside = [
@@ -173,17 +172,17 @@ def autd3() -> Array:
 
 
 def autd3_units(columns: int, rows: int) -> Array:
-    """Units edge to edge, none turned, row by row from low y; x runs fastest."""
+    """Units edge to edge, not rotated, by rows from low y, x fastest."""
     width, height = AUTD_BOARD_M
     places = [(column * width, row * height, 0.0) for row in range(rows) for column in range(columns)]
     return centred(combined([placed(autd3(), place, np.eye(3)) for place in places], f"autd3_{columns}x{rows}"))
 
 
 def bow(focal_length_m: float) -> tuple[Float, Float]:
-    """Six speakers in the plane x = 0 on the parabola z = y^2/(4 f), its vertex midway between the third and fourth.
+    """Return positions relative to the focus [m] and unit normals of the six speakers of a bow, shapes (6, 3).
 
-    Neighbours are BOW_SPACING_M apart, centre to centre; every speaker faces the focus of the parabola.
-    Returns positions relative to the focus [m] and unit normals, shapes (6, 3).
+    The speakers are in the plane x = 0 on the parabola z = y^2/(4 f), with its vertex midway between the third and
+    fourth, at centre distances of BOW_SPACING_M; all face the focus of the parabola.
     """
 
     def height(y: float) -> float:
@@ -200,7 +199,7 @@ def bow(focal_length_m: float) -> tuple[Float, Float]:
 
 
 def two_bow(name: str, focal_length_m: float, piston_radius_m: float) -> Array:
-    """Two bows along y that lean from either side towards their common focus; speakers 1-6 at low x, then 7-12."""
+    """Two bows along y, inclined from both sides towards their common focus; speakers 1-6 at low x, then 7-12."""
     positions, normals = bow(focal_length_m)
     one = from_poses(name, positions, normals, piston_radius_m=piston_radius_m)
     tilt = np.radians(BOW_TILT_DEG)
@@ -220,7 +219,7 @@ def two_bow_corrected() -> Array:
 
 
 def bow_focus(array: Array) -> Point:
-    """Point on the z axis where the axes of the first and the last speaker of a two-bow array meet [m], by symmetry."""
+    """Return the point on the z axis where the axes of the speakers of a two-bow array meet [m], by symmetry."""
     (_, y, z), (_, slope_y, slope_z) = array.positions[0], array.normals[0]
     return 0.0, 0.0, float(z - y * slope_z / slope_y)
 

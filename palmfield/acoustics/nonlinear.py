@@ -1,8 +1,8 @@
-"""Effect of nonlinear propagation on a focused beam: its steepening, and the fundamental line that remains.
+"""Effect of nonlinear propagation on a focused beam: steepening, and the remaining amplitude of the fundamental.
 
-sigma is the propagation distance over the shock distance; here it is summed along the beam, because a focused beam is
-loud near its focus only. Formulas are those of plane waves (Blackstock, Fundamentals of Physical Acoustics, 2000), so
-that in a focus they give the order of magnitude.
+sigma is the propagation distance over the shock distance, integrated along the beam because a focused beam is loud only
+near its focus. The formulas are for plane waves (Blackstock, Fundamentals of Physical Acoustics, 2000), so they give
+the order of magnitude in a focus.
 """
 
 import math
@@ -22,13 +22,13 @@ from palmfield.types import Air, Array, Complex
 NONLINEARITY = 1.2
 """1 + B/2A of air."""
 SAMPLES = 100
-"""Along a beam; its pressure changes over a few wavelengths at the least."""
+"""Number of samples along a beam; its pressure changes over a few wavelengths or more."""
 FIRST_M = 5e-3
-"""Distance from the transducers from which the beam is followed [m]: one of their radii."""
+"""Distance from the transducers at which the beam starts [m]: the radius of a transducer."""
 
 
 def steepening(pressures_Pa: ArrayLike, step_m: float, air: Air, frequency_Hz: float) -> float:
-    """sigma = (1.2 w/(rho c^3)) times the integral of |p| along a beam.
+    """Return sigma = (1.2 w/(rho c^3)) times the integral of |p| along a beam.
 
     pressures_Pa: peak pressures, magnitudes or complex, at even steps of step_m [m], shape (n,)
     Raises PalmfieldError for pressures that are not finite.
@@ -43,17 +43,16 @@ def steepening(pressures_Pa: ArrayLike, step_m: float, air: Air, frequency_Hz: f
 def beams(
     array: Array, drive: Complex, focus: ArrayLike, air: Air, until: ArrayLike | None = None
 ) -> list[tuple[float, Complex]]:
-    """Step [m] and pressures [Pa] along the beam of each side of an array (`sides_of`), each side separately.
+    """Return step [m] and pressures [Pa] along the beam of each side of an array (`sides_of`), each side separately.
 
-    A beam is the straight line from the middle of the driven transducers of a side to a focus. None in silence, and for
-    a side whose end is no further than FIRST_M from its middle.
+    A beam is the straight line from the centre of the driven transducers of a side to a focus. Silent sides and sides
+    with beams shorter than FIRST_M are omitted.
 
-    drive: complex amplitudes, shape (len(array),). focus: the point [m], array frame, shape (3,).
-    until: a point whose distance from that middle is the end of the beam, before or behind the focus; the focus itself
-        by default, shape (3,).
+    drive: complex amplitudes, shape (len(array),). focus: position [m], array frame, shape (3,).
+    until: a point whose distance from the centre is the length of the beam, shape (3,); default the focus.
     """
     loud = np.abs(drive) if array.gain is None else np.abs(drive * array.gain)
-    driven, found = np.flatnonzero(loud), []
+    driven, results = np.flatnonzero(loud), []
     end = np.asarray(focus, float)
     for side in (driven[of] for of in (sides_of(array.normals[driven]) if len(driven) else ())):
         start = loud[side] @ array.positions[side] / loud[side].sum()
@@ -64,20 +63,20 @@ def beams(
             own[side] = drive[side]
             distances = np.linspace(FIRST_M, length, SAMPLES)
             pressures, _ = pressure64(start + distances[:, None] * direction, array, own, air)
-            found.append((float(distances[1] - distances[0]), pressures))
-    return found
+            results.append((float(distances[1] - distances[0]), pressures))
+    return results
 
 
 def beam_steepening(array: Array, drive: Complex, focus: ArrayLike, air: Air, until: ArrayLike | None = None) -> float:
-    """sigma at the end of the beam that steepens most, as of `beams`; 0 where there is none."""
-    found = beams(array, drive, focus, air, until)
-    return max((steepening(pressures, step_m, air, array.frequency_Hz) for step_m, pressures in found), default=0.0)
+    """Return the largest sigma at the ends of `beams`; 0 without beams."""
+    results = beams(array, drive, focus, air, until)
+    return max((steepening(pressures, step_m, air, array.frequency_Hz) for step_m, pressures in results), default=0.0)
 
 
 def fundamental_left(sigma: float) -> float:
-    """Pressure amplitude of the line at the drive frequency, relative to a linear beam, as a microphone reads it.
+    """Return the pressure amplitude at the drive frequency, as measured by a microphone, relative to a linear beam.
 
-    Fubini's 2 J1(sigma)/sigma below the shock, Blackstock's bridging integral beyond.
+    It is Fubini's 2 J1(sigma)/sigma below the shock, and Blackstock's bridging integral beyond.
     Raises PalmfieldError for sigma that is negative or not finite.
     """
     _check(sigma)
@@ -92,10 +91,10 @@ def fundamental_left(sigma: float) -> float:
 
 
 def arp_left(sigma: float) -> float:
-    """ARP relative to that of a linear beam: harmonics contribute, so that there is no loss below the shock distance.
+    """Return the ARP relative to that of a linear beam; below the shock distance there is no loss, by the harmonics.
 
-    The mean square of the steepened sine with its weak shock: (2/pi) ((pi - s)/2 + sin(2s)/4 + sigma sin(s)^3/3) with s
-    = sigma sin(s) the phase that has run into the shock.
+    It is the mean square of the steepened sine with its weak shock, (2/pi) ((pi - s)/2 + sin(2s)/4 + sigma sin(s)^3/3),
+    where s = sigma sin(s) is the phase that has entered the shock.
     Raises PalmfieldError for sigma that is negative or not finite.
     """
     _check(sigma)
@@ -107,7 +106,7 @@ def arp_left(sigma: float) -> float:
 
 
 def _shock_phase(sigma: float) -> float:
-    """s in (0, pi) with s = sigma sin(s), for sigma above 1."""
+    """Return s in (0, pi) with s = sigma sin(s), for sigma above 1."""
     return float(
         scipy.optimize.brentq(lambda s: s - sigma * math.sin(s), math.sqrt(min(1.0, sigma - 1.0)) * 1e-3, math.pi)
     )

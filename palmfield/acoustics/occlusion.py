@@ -1,4 +1,4 @@
-"""Shadows by rays: all obstacles as one tree that moves with them, and how far back along the sound to look."""
+"""Shadows by rays: all obstacles in one hierarchy that moves with them, and the ray lengths back along the sound."""
 
 import math
 from collections.abc import Sequence
@@ -18,24 +18,24 @@ from palmfield.types import Float, Float32, Int
 from warp_kernels import shadow as kernels
 
 GRAZING = 1e-6
-"""A ray that goes along a board, to this cosine, does not meet it."""
+"""Smallest cosine between a ray and the normal of a board; other rays are parallel and do not meet it."""
 RAYS_PER_THREAD = 300
-"""Fewest rays per thread: 0.2 ms of work against 0.02 ms to hand it over."""
-SIZES_KEPT = 8
-"""Numbers of points for which an `Occlusion` keeps buffers."""
+"""Smallest number of rays per thread: 0.2 ms of work, and 0.02 ms to start a thread."""
+SIZES_STORED = 8
+"""Largest number of buffer sizes stored by an `Occlusion`."""
 
 
 def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: PhasedArray) -> Float:
-    """Length of each point's ray back along the sound, up to the board of an array [m], shape (n,).
+    """Return the length of the ray from each point back along the sound to the board of an array [m], shape (n,).
 
     points: [m], array frame, shape (n, 3). flux: direction of the sound there, any length, shape (n, 3).
-    A board is the plane through an array's middle across its mean direction; of several arrays the farthest counts.
+    A board is the plane through the centre of an array normal to its mean direction; the farthest board is used.
     """
     along = flux.T.astype(np.float64, order="C")
     along /= np.maximum(np.sqrt(np.add.reduce(along * along, axis=0)), 1e-30)
     farthest: Float = np.zeros(len(points))
     for facing, height in zip(phased_array.facing.T, phased_array.heights.tolist(), strict=True):
-        leaving = facing @ along  # how fast the way back nears the board
+        leaving = facing @ along  # decrease of the distance to the board per length
         above = points @ facing
         above -= height
         way = np.empty(len(points))
@@ -46,15 +46,15 @@ def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: Phase
 
 
 class Occlusion:
-    """All obstacles as a bounding volume hierarchy that follows its vertices.
+    """All obstacles as a bounding volume hierarchy that is refitted to moving vertices.
 
-    Refitting the hierarchy takes 0.4 ms for two hands of 11,448 faces each, building it 9 ms; rays are as fast in both.
-    Belongs to the state of one simulation and is used by one thread at a time; on the CPU it takes helper threads.
+    Refitting takes 0.4 ms for two hands of 11,448 faces each, building 9 ms; rays are equally fast in both.
+    It is part of the state of one simulation and not thread-safe; on the CPU it starts threads itself.
 
     vertices: [m], shape (v, 3). faces: shape (m, 3): all obstacles in one mesh.
     device: "auto", "cpu" or "cuda:N".
-    counts: vertices of each body in the mesh, in their order, where there are several.
-    threads: on the CPU, 1 or more; None is all cores that this process may use.
+    counts: number of vertices of each body in the mesh, in order, if there are several.
+    threads: on the CPU, 1 or more; None is all cores of this process.
     """
 
     def __init__(
@@ -65,8 +65,8 @@ class Occlusion:
         self._threads = cores() if threads is None else threads
         self._vertices = SharedArray(len(vertices), wp.vec3, self.device)
         corners: wp.array = wp.array(np.asarray(faces, np.int32).ravel(), dtype=wp.int32, device=self.device)
-        # Built with the bodies far from one another, so that no branch has faces of two: else branches would stretch
-        # from one to the other once they are elsewhere
+        # Built with the bodies far from each other, so that no branch has faces of two bodies, which would stretch it
+        # when the bodies move
         extent = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
         body = np.repeat(np.arange(len(counts)), counts) if len(counts) else np.zeros(len(vertices), int)
         self._vertices.put(vertices + np.outer(2.0 * extent * body, [1.0, 0.0, 0.0]))
@@ -78,7 +78,7 @@ class Occlusion:
 
     @property
     def outline(self) -> OutlineMesh:
-        """The same bodies as obstacles for knife edges; after its first use it moves with them."""
+        """Edges of the same bodies for knife-edge diffraction; after the first use they move with the bodies."""
         if self._outline is None:
             made = OutlineMesh(self.mesh, *self._shape)
             self._outline = made, made.calls()
@@ -87,7 +87,7 @@ class Occlusion:
         return self._outline[0]
 
     def move(self, vertices: Float) -> None:
-        """Take new positions of the same vertices [m], shape (v, 3)."""
+        """Set new positions of the vertices [m], shape (v, 3)."""
         self._vertices.put(vertices)
         self.mesh.refit()
         if self._outline is not None:
@@ -97,10 +97,10 @@ class Occlusion:
     def lit(
         self, points: Float, flux: Float | Float32, reach_m: Float | Float32 | float = REACH_m
     ) -> NDArray[np.bool_]:
-        """Whether no body blocks the way back along the sound, shape (n,): one ray per point.
+        """Return whether no body blocks the ray from each point back along the sound, shape (n,).
 
-        On a closed body a point where sound leaves the surface is dark, because the ray runs into the body; so is a
-        point without sound. The result is a view of a buffer that the next call with as many points overwrites.
+        A point of a closed body is dark where sound leaves the surface, because the ray enters the body; so is a point
+        without sound. The result is a view of a buffer that the next call with as many points overwrites.
 
         points: [m], shape (n, 3). flux: direction of the sound there, any length, shape (n, 3).
         reach_m: length of the ray [m], a number or shape (n,).
@@ -111,7 +111,7 @@ class Occlusion:
             raise PalmfieldError(f"points {points.shape} and flux {flux.shape}: give (n, 3) for both")
         rays = self._rays.get(count)
         if rays is None:
-            if len(self._rays) >= SIZES_KEPT:
+            if len(self._rays) >= SIZES_STORED:
                 self._rays.clear()
             rays = self._rays[count] = _Rays(self.mesh, count, self.device, self._threads)
         rays.points.host[...] = points
@@ -139,7 +139,7 @@ class Occlusion:
 
 
 class _Rays:
-    """Buffers and recorded launches for `count` rays, in blocks that threads share out."""
+    """Buffers and recorded launches for `count` rays, in blocks for threads."""
 
     def __init__(self, mesh: wp.Mesh, count: int, device: str, threads: int):
         self.points, self.flux = SharedArray(count, wp.vec3, device), SharedArray(count, wp.vec3, device)

@@ -1,7 +1,7 @@
 """The arrays of a scene as one source of sound: their transducers in one frame, and their common field.
 
-The frame is that of the scene's first array ("array frame"). All objects are immutable, so that several threads and
-simulations share them; where arrays move against one another, a new `PhasedArray` is made.
+The frame is that of the first array of the scene ("array frame"). All objects are immutable, so that threads and
+simulations can share them. If arrays move relative to each other, a new `PhasedArray` is made.
 """
 
 import threading
@@ -36,15 +36,15 @@ HOUSING_M = 5e-3
 FLAT_M = 1e-6
 """Largest difference of the heights of transducers in one plane [m]."""
 SAME_PLACE = 1e-9
-"""Positions [m] and directions that differ by less are the same."""
+"""Positions [m] and directions that differ by less are equal."""
 
 
 @dataclass(frozen=True)
 class ArrayInstance:
     """One array of the scene.
 
-    config: its keys. placement: its place in the reference pose of the scene.
-    calibration: in the file of key `calibration`. table: in that of key `transducers`.
+    config: keys of the array. placement: placement in the reference pose of the scene.
+    calibration: from the file of key `calibration`. table: from the file of key `transducers`.
     """
 
     config: ArrayConfig
@@ -56,45 +56,45 @@ class ArrayInstance:
     def p0(self) -> Estimate:
         """Peak pressure of one transducer at 1 m on its axis at full drive [Pa m].
 
-        As calibrated; else of key `p0_Pa_m`, with the range of the layout, widened to include it if the scene gives no
-        range; else that of the layout.
+        It is the calibrated value, or else key `p0_Pa_m`, or else that of the layout. Without a range in the scene,
+        the range of the layout is widened to include the key.
         """
-        config, known = self.config, _known(self.config.layout)[0]
+        config, usual = self.config, _layout_estimates(self.config.layout)[0]
         if self.calibration is not None and self.calibration.p0 is not None:
             return self.calibration.p0
         if config.p0_Pa_m is None:
-            return known
-        low, high = config.p0_low_Pa_m or known.low, config.p0_high_Pa_m or known.high
-        return _given(config.p0_Pa_m, low, high, "p0_Pa_m")
+            return usual
+        low, high = config.p0_low_Pa_m or usual.low, config.p0_high_Pa_m or usual.high
+        return _scene_estimate(config.p0_Pa_m, low, high, "p0_Pa_m")
 
     @property
     def quality(self) -> Estimate:
-        """Quality factor of the resonance: as calibrated, of key `quality`, or that of the layout."""
-        config, known = self.config, _known(self.config.layout)[1]
+        """Quality factor of the resonance: calibrated, or of key `quality`, or of the layout."""
+        config, usual = self.config, _layout_estimates(self.config.layout)[1]
         if self.calibration is not None and self.calibration.quality is not None:
             return self.calibration.quality
         if config.quality is None:
-            return known
-        return _given(config.quality, known.low, known.high, "quality")
+            return usual
+        return _scene_estimate(config.quality, usual.low, usual.high, "quality")
 
     def pole(self, count: int) -> tuple[Float, Float]:
-        """Resonance [Hz] and quality of each transducer, shapes (count,): as calibrated one by one or all together."""
-        known = self.calibration
+        """Return resonance [Hz] and quality factor of each transducer, shapes (count,), by the calibration or keys."""
+        calibration = self.calibration
         f0 = np.full(count, self.config.resonance_Hz)
         quality = np.full(count, self.quality.value)
-        if known is not None and known.resonance_Hz is not None:
-            f0 = np.full(count, known.resonance_Hz.value)
-        if known is not None and known.elements is not None:
-            f0 = f0 if known.elements.resonance_Hz is None else np.array(known.elements.resonance_Hz)
-            quality = quality if known.elements.quality is None else np.array(known.elements.quality)
+        if calibration is not None and calibration.resonance_Hz is not None:
+            f0 = np.full(count, calibration.resonance_Hz.value)
+        if calibration is not None and calibration.elements is not None:
+            f0 = f0 if calibration.elements.resonance_Hz is None else np.array(calibration.elements.resonance_Hz)
+            quality = quality if calibration.elements.quality is None else np.array(calibration.elements.quality)
         return f0, quality
 
     def array(self, sites: tuple[tuple[Numbers, Numbers], ...] = ()) -> Array:
-        """The transducers in the frame of the array.
+        """Return the transducers in the frame of the array.
 
         sites: position [m] and emitting direction of each transducer, for layout `sites`.
-        Raises SceneError for faults that the array cannot have, for the radius of a piston where there is no piston,
-        and for the calibration of another array.
+        Raises SceneError for invalid dead or inverted transducers, for a piston radius without a piston, and for the
+        calibration of another array.
         """
         config = self.config
         if config.layout == "sites":
@@ -123,13 +123,13 @@ class ArrayInstance:
         return array
 
 
-def _given(value: float, low: float, high: float, key: str) -> Estimate:
-    """A value that a scene sets, with a range that is widened to hold it."""
+def _scene_estimate(value: float, low: float, high: float, key: str) -> Estimate:
+    """Return the estimate for a value of the scene, with a range that is widened to include it."""
     return Estimate(value, min(low, value), max(high, value), "assumed", f"{key} of the scene")
 
 
-def _known(name: str) -> tuple[Estimate, Estimate]:
-    """Known data on p0 and quality of a layout; for unknown boards the values for all transducers."""
+def _layout_estimates(name: str) -> tuple[Estimate, Estimate]:
+    """Return the estimates of p0 and quality factor of a layout, or for other boards those of all transducers."""
     board = LAYOUTS.get(name)
     return (ANY_P0, ANY_QUALITY) if board is None else (board.p0, board.quality)
 
@@ -146,7 +146,7 @@ class DirectivityGroup:
 
 
 def directivity_groups(parts: Sequence[Array]) -> tuple[DirectivityGroup, ...]:
-    """Arrays in one frame, sorted by directivity; transducers are numbered from array to array."""
+    """Group the transducers of arrays in one frame by directivity; they are numbered from array to array."""
     starts = np.cumsum([0, *(len(part) for part in parts)])
     members: dict[tuple[float, Directivity], list[int]] = {}
     for i, part in enumerate(parts):
@@ -162,11 +162,11 @@ def directivity_groups(parts: Sequence[Array]) -> tuple[DirectivityGroup, ...]:
 
 @dataclass(frozen=True)
 class BoardOutline:
-    """The part of an array that a body must not reach into, in the frame of the array.
+    """Outline of an array for collision checks, in the frame of the array.
 
-    low, high: corners of the rectangle around transducers that lie in one plane and face along z, with its housing, x
-        and y [m]; height: of that plane [m].
-    nearest: tree of the transducers of any other array, which has no such rectangle; else None.
+    low, high: x and y of the corners of the housing [m], for transducers in one plane that face along z; height: z of
+        this plane [m].
+    nearest: tree of the transducers, for arrays without such a plane; else None.
     """
 
     low: tuple[float, float]
@@ -176,7 +176,7 @@ class BoardOutline:
 
     @staticmethod
     def of(array: Array) -> "BoardOutline":
-        """The board of an array in its own frame."""
+        """Return the outline of an array in its own frame."""
         positions = array.positions
         (low_x, low_y, low), (high_x, high_y, high) = positions.min(axis=0).tolist(), positions.max(axis=0).tolist()
         flat = high - low <= FLAT_M and array.normals[:, 2].min() >= 0.5
@@ -188,10 +188,8 @@ class BoardOutline:
         )
 
     def clearance(self, points: Float) -> float:
-        """Least distance of points [m], shape (n, 3), from the board [m], negative behind it; inf if none is over it.
-
-        Of an array without a rectangle, the least distance from the face of a transducer.
-        """
+        """Return the smallest distance of points [m], shape (n, 3), from the board [m]: negative behind it, inf if no
+        point is over it. For an array without a plane it is the smallest distance from the face of a transducer."""
         if self.nearest is not None:
             return float(np.minimum.reduce(self.nearest.query(points)[0], initial=np.inf)) - HOUSING_M
         x, y, z = points.T
@@ -200,18 +198,17 @@ class BoardOutline:
 
 
 class MultiArrayField(FieldSum):
-    """The field of transducers of one or several directivities: the sum over an evaluator for each, on one device.
+    """Field of transducers of one or several directivities, as the sum of one evaluator for each, on one device.
 
-    For the radiation pressure at the same number of points again and again take
-    `palmfield.acoustics.surface_arp.SurfaceArp`.
+    For repeated radiation pressures at a constant number of points use `palmfield.acoustics.surface_arp.SurfaceArp`.
 
-    groups: which transducers each evaluator has; evaluators: one a group
-    air: for all; device: "cpu" or "cuda:N"; mode: as FieldEvaluator
-    count: how many transducers all groups have together; a transducer that is in several sounds from several places
+    groups: transducers of each evaluator; evaluators: one per group
+    air: air of all groups; device: "cpu" or "cuda:N"; mode: as for FieldEvaluator
+    count: number of different transducers; a transducer in several groups emits from several positions
     """
 
     def __init__(self, groups: tuple[DirectivityGroup, ...], air: Air, device: str = "auto", mode: Mode = "fast"):
-        """Raises SceneError for a bad array or air, PalmfieldError for a device that is not there."""
+        """Raises SceneError for a bad array or air, PalmfieldError for a device that is not on this machine."""
         super().__init__()
         self.groups, self.air, self.mode = groups, air, mode
         self.evaluators = tuple(FieldEvaluator(group.array, air, device, mode=mode) for group in groups)
@@ -225,22 +222,22 @@ class MultiArrayField(FieldSum):
 
 
 class PhasedArray:
-    """All arrays of a scene in one relative pose. Immutable, and safe to share among threads.
+    """All arrays of a scene in one relative pose. Immutable, so threads can share it.
 
-    instances: the arrays of the scene; air, precision of the kernels and frame are those of the first one.
-    placements: of each array, in the frame of the first one.
-    device: where the field is computed, "auto", "cpu" or "cuda:N".
-    wall_m: distance from the plane of the transducers to a flat wall in front of them, between which sound goes back
-        and forth (`palmfield.acoustics.echo`); None where the echo is not computed.
-    parts: transducers of each array in its own frame. slices: of each part, into the numbering of all transducers.
-    groups: transducers by directivity, in the array frame. images: of them, for the sound that goes back and forth.
-    array: all transducers in one, for positions, directions and gains; for sound use `pressure64` or `field`, because
-        where directivities differ it has the widest piston of them and no table; impedance: rho c^2 of the air [Pa].
-    frames: of each part, seen from the first. boards: of each part, in its own frame.
-    sides: of each part; if it wraps a body, of those that face alike: their numbers among all transducers.
-    corners: of a box round the transducers of each side, array frame [m], shape (8 sides, 3).
+    instances: arrays of the scene; air, precision of the kernels and frame are those of the first array.
+    placements: placement of each array in the frame of the first one.
+    device: device on which the field is computed, "auto", "cpu" or "cuda:N".
+    wall_m: distance from the plane of the transducers to a flat wall in front of them, for multiple reflections
+        (`palmfield.acoustics.echo`); None without reflections.
+    parts: transducers of each array in its own frame. slices: slice of each part in the numbering of all transducers.
+    groups: transducers by directivity, in the array frame. images: groups for the multiple reflections.
+    array: all transducers, for positions, directions and gains; for sound use `pressure64` or `field`, because with
+        different directivities it has the largest piston and no table. impedance: rho c^2 of the air [Pa].
+    frames: frame of each part relative to the first. boards: outline of each part, in its own frame.
+    sides: numbers, among all transducers, of those of each part, or of each direction of a part that wraps a body.
+    corners: corners of a box round the transducers of each side, array frame [m], shape (8 sides, 3).
     facing: mean direction of the transducers of each side, array frame, by column, shape (3, sides).
-    heights: of the middle of each side along that direction [m], shape (sides,).
+    heights: height of the centre of each side along that direction [m], shape (sides,).
     serial: unique number.
     """
 
@@ -262,7 +259,7 @@ class PhasedArray:
         self._field: MultiArrayField | None = None
         self.parts = tuple(one.array(place.sites) for one, place in zip(instances, placements, strict=True))
         self.impedance = density(self.air) * sound_speed(self.air) ** 2
-        # The frame of the first array is the common one: its transducers stay unchanged to the last digit
+        # The frame of the first array is the common one, so its transducers are unchanged to the last digit
         moved = [
             part if i == 0 else placed(part, *place.transform)
             for i, (part, place) in enumerate(zip(self.parts, placements, strict=True))
@@ -285,7 +282,7 @@ class PhasedArray:
         self.array = moved[0] if len(moved) == 1 else combined(moved)
 
     def __len__(self) -> int:
-        """Transducers of all arrays."""
+        """Return the number of transducers of all arrays."""
         return len(self.array)
 
     @property
@@ -294,7 +291,7 @@ class PhasedArray:
 
         Raises PalmfieldError for a device that is not on this machine.
         """
-        # Made once, by the first caller: a second one would only cost time, but callers compare fields by identity
+        # Made only once, because callers compare fields by identity
         with self._lock:
             if self._field is None:
                 groups = self.groups + self.images
@@ -302,14 +299,14 @@ class PhasedArray:
             return self._field
 
     def pressure64(self, points: Float, drive: Complex) -> Complex:
-        """Complex peak pressure [Pa], shape (n,), at points [m], shape (n, 3), in float64 on the CPU, without echoes.
+        """Return the peak pressure [Pa], complex (n,), at points [m], (n, 3), in float64 on the CPU, without echoes.
 
         drive: complex amplitudes of all transducers, 1 is full drive, shape (len(self),)
         """
         return _sum64(self.groups, points, drive, self.air)
 
     def with_echoes64(self, points: Float, drive: Complex) -> Complex:
-        """As `pressure64`, with the sound that goes back and forth, as in `field`."""
+        """Return `pressure64` with the multiple reflections, as in `field`."""
         return _sum64(self.groups + self.images, points, drive, self.air)
 
     def _images(self, wall_m: float, outward: Float) -> tuple[DirectivityGroup, ...]:
@@ -323,7 +320,7 @@ class PhasedArray:
         )
 
     def same(self, placements: Sequence[Placement]) -> bool:
-        """Whether the relative pose of the arrays is the same as here, to a nanometre and a nanoradian."""
+        """Return whether placements equal those of this object to a nanometre and a nanoradian."""
         placements = tuple(placements)
         return placements == self.placements or all(
             same_place(a, b) for a, b in zip(self.placements, placements, strict=True)
@@ -338,13 +335,13 @@ def _sum64(groups: Sequence[DirectivityGroup], points: Float, drive: Complex, ai
 
 
 def same_place(one: Placement, other: Placement) -> bool:
-    """Whether two placements of an array agree to SAME_PLACE."""
+    """Return whether two placements of an array agree to SAME_PLACE."""
     pairs = ((one.position, other.position), (one.rotation, other.rotation), (one.sites, other.sites))
     return one == other or all(np.allclose(a, b, rtol=0.0, atol=SAME_PLACE) for a, b in pairs)
 
 
 def only(array: Array, chosen: NDArray[np.bool_] | Int) -> Array:
-    """The chosen transducers of an array; chosen: their numbers, or which of all, shape (n,)."""
+    """Return the chosen transducers of an array; chosen: numbers or a mask, shape (n,)."""
     return replace(
         array,
         positions=array.positions[chosen],

@@ -1,4 +1,4 @@
-"""Arrays from single transducers and from one another: poses, rigid motion, several boards as one, faults."""
+"""Make arrays from single transducers and from other arrays: poses, rigid motion, combination, faults."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -29,13 +29,13 @@ def from_poses(
     gain: Complex | None = None,
     directivity_table: Float | None = None,
 ) -> Array:
-    """Array of any transducers, for example the sites of an MJCF file; its frame is that in which they are given.
+    """Return the array of any transducers, for example the sites of an MJCF file, in the frame of the positions.
 
     For sites `ids` of a MuJoCo model: positions `data.site_xpos[ids]`, normals their z axes,
     `data.site_xmat[ids].reshape(-1, 3, 3)[:, :, 2]`.
 
     positions: [m], shape (n, 3), n at least 1.
-    normals: emitting directions of any length but 0, shape (n, 3).
+    normals: emitting directions of any length except 0, shape (n, 3).
     p0_Pa_m, frequency_Hz, piston_radius_m, address, gain, directivity_table: see `palmfield.types.Array`.
     Raises SceneError for wrong shapes, values that are not finite, and constants that cannot radiate.
     """
@@ -53,11 +53,11 @@ def from_poses(
 
 
 def placed(array: Array, position: ArrayLike, rotation: ArrayLike) -> Array:
-    """The array moved rigidly into another frame: x -> rotation x + position.
+    """Return the array moved rigidly into another frame: x -> rotation x + position.
 
-    position: of the origin of the array in the other frame [m], shape (3,).
-    rotation: matrix whose columns are the axes of the array in the other frame, shape (3, 3); it may be rounded to
-        float32, the nearest rotation is used.
+    position: origin of the array in the other frame [m], shape (3,).
+    rotation: matrix whose columns are the axes of the array in the other frame, shape (3, 3); a matrix rounded to
+        float32 is replaced by the nearest rotation.
     Raises SceneError for a position that is not three finite numbers and for a matrix that is not a rotation.
     """
     shift, turn = np.asarray(position, dtype=float), np.asarray(rotation, dtype=float)
@@ -70,12 +70,12 @@ def placed(array: Array, position: ArrayLike, rotation: ArrayLike) -> Array:
 
 
 def combined(arrays: Sequence[Array], name: str | None = None) -> Array:
-    """Several arrays, already placed in one frame, as one; their transducers follow one another in the given order.
+    """Return several arrays in one frame as one array, with their transducers in the order of the arrays.
 
-    p0 becomes the largest of them; quieter arrays keep theirs through `gain`. Addresses continue from array to array if
+    p0 is the largest of them; `gain` contains the ratio for the other arrays. Addresses continue from array to array if
     every array has them.
 
-    name: the names joined by " + " where it is None
+    name: None joins the names by " + "
     Raises SceneError for no arrays, and for differing frequency, piston radius or directivity.
     """
     if not arrays:
@@ -115,7 +115,7 @@ def combined(arrays: Sequence[Array], name: str | None = None) -> Array:
 def with_faults(
     array: Array, dead: Iterable[int] | Iterable[bool] = (), inverted: Iterable[int] | Iterable[bool] = ()
 ) -> Array:
-    """The array with silent transducers and with inversely wired ones, in addition to its present gain.
+    """Return the array with dead and inverted transducers, in addition to its present gain.
 
     dead, inverted: indices of transducers in the order of the array, 0 to len(array) - 1, or masks, shape
     (len(array),). Raises SceneError for an index outside the array or given twice, and a mask of another length.
@@ -135,7 +135,7 @@ def with_faults(
 
 
 def indices(array: Array, chosen: Iterable[int] | Iterable[bool], name: str) -> list[int]:
-    """Transducers by number, from numbers or a mask. Raises SceneError for a mask of another length, and fractions."""
+    """Return transducer numbers from numbers or a mask. Raises SceneError for another mask length and fractions."""
     values = np.asarray(chosen if isinstance(chosen, np.ndarray) else list(chosen))
     if values.dtype == bool:
         if values.shape != (len(array),):
@@ -147,9 +147,10 @@ def indices(array: Array, chosen: Iterable[int] | Iterable[bool], name: str) -> 
 
 
 def sides_of(normals: Float) -> list[Int]:
-    """Numbers of the transducers with these directions, shape (n, 3), in one list if none faces away from their mean.
+    """Group transducers by their directions, shape (n, 3); return the numbers of each group.
 
-    Else those within 60 degrees of the first go together, and so on with the rest.
+    There is one group if no transducer faces away from the mean direction. Otherwise transducers within 60 degrees of
+    the first form a group, and so on with the others.
     """
     rest: Int = np.arange(len(normals), dtype=np.int32)
     if (normals @ normals.mean(axis=0)).min() > 0.0:

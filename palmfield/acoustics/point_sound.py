@@ -1,7 +1,7 @@
-"""ARP of several drives at once at points that are on the device, in launches for a captured graph.
+"""ARP of several drives at points on the device, in launches for a captured graph.
 
-Where `palmfield.acoustics.surface_arp` takes points and drives from NumPy in each call, here kernels read them where
-other kernels have put them, and leave the ARP there.
+Points, drives and ARP are arrays on the device, shared with other kernels. `palmfield.acoustics.surface_arp` has NumPy
+arrays instead.
 """
 
 import functools
@@ -28,18 +28,18 @@ from warp_kernels import point_sound as kernels
 from warp_kernels.pressure import vec6
 
 THREADS_ENOUGH = 2**18
-"""Threads that fill a GPU: fewer points and drives share out the transducers as well."""
+"""Number of threads that fills a GPU; for fewer points and drives the transducers are divided as well."""
 SHORTEST_RUN = 32
-"""Transducers that a thread takes at least."""
+"""Smallest number of transducers per thread."""
 ROWS = 5
-"""Drives that a thread takes where there are more than two: what a pair of transducer and point costs is shared."""
+"""Drives per thread if there are more than two; the cost per pair of transducer and point is then shared."""
 
 
 class Transducers:
     """The transducers of the arrays of a scene on a device, sorted by directivity.
 
-    arrays: in their present pose. device: of `palmfield.device.resolve`.
-    order: their numbers in the order of the kernels. scale: strength at full drive in that order [Pa m].
+    arrays: in their present pose. device: from `palmfield.device.resolve`.
+    order: transducer numbers in the order of the kernels. scale: strength at full drive in that order [Pa m].
     """
 
     def __init__(self, arrays: PhasedArray, device: str):
@@ -73,7 +73,7 @@ class Transducers:
 
     @property
     def emitters(self) -> "Emitters":
-        """The same transducers as input of the weights of shadows; they move along. Made at first use."""
+        """The same transducers as input of the shadow weights; made at first use, and moved by `move`."""
         from palmfield.acoustics.knife_edge import Emitters
 
         if self._emitters is None:
@@ -82,11 +82,11 @@ class Transducers:
 
     @property
     def _rows(self) -> Int:
-        """Place of each transducer in `order`."""
+        """Return the position of each transducer in `order`."""
         return np.argsort(self.order).astype(np.int32)
 
     def move(self, arrays: PhasedArray) -> None:
-        """Take new places of the same transducers."""
+        """Set new positions of the same transducers."""
         self._arrays = arrays
         if self._emitters is not None:
             self._emitters.move(arrays, self._rows)
@@ -99,7 +99,7 @@ class Transducers:
         self._corners.put(arrays.corners)
 
     def strengths(self, amplitudes: Complex) -> Complex:
-        """Amplitudes relative to full drive as kernels take them [Pa m], both of shape (k, count)."""
+        """Return the strengths for kernels [Pa m] of amplitudes relative to full drive, both of shape (k, count)."""
         return self.scale * (amplitudes if self._sorted else amplitudes[:, self.order])
 
     @property
@@ -109,17 +109,17 @@ class Transducers:
 
     @property
     def corners(self) -> Any:
-        """Corners of a box round the transducers of each side [m], on the device, shape (8 sides,)."""
+        """Corners of the box of the transducers of each side [m], on the device, shape (8 sides,)."""
         return self._corners.array
 
     @property
     def boards(self) -> Any:
-        """Mean direction of each array and the height of its middle along it [m], on the device, shape (parts,)."""
+        """Mean direction of each array and height of its centre along it [m], on the device, shape (parts,)."""
         return self._boards.array
 
 
 class DriveTable(NamedTuple):
-    """The active drives in each of w worlds, on the device: drives, and sums of them.
+    """Active drives in each of w worlds, and sums of drives, on the device.
 
     counts: numbers of drives and sums in use, int32, shape (w, 2). drives: [Pa m], vec2, shape (w k, transducers).
     levels: weight of each drive in each sum, vec2, shape (w m, k).
@@ -131,7 +131,7 @@ class DriveTable(NamedTuple):
 
     @staticmethod
     def parts(drives: int, sums: int, transducers: int, worlds: int = 1) -> dict[str, tuple[tuple[int, ...], Any]]:
-        """Shapes and types for a `SharedBlock`; drives and sums: how many at most."""
+        """Return shapes and types for a `SharedBlock`; drives and sums: largest numbers."""
         rows = drives if drives <= 2 else -(-drives // ROWS) * ROWS
         return {
             "counts": ((worlds, 2), wp.int32),
@@ -143,15 +143,15 @@ class DriveTable(NamedTuple):
 def fill_table(
     hosts: tuple[NDArray[Any], NDArray[Any], NDArray[Any]], strengths: Complex, levels: Complex | None
 ) -> None:
-    """Write drives and sums of one world into its table as NumPy sees it, counts, drives and levels.
+    """Write drives and sums of one world into the NumPy views of its table: counts, drives and levels.
 
-    strengths: of `Transducers.strengths`, shape (k, n); levels: shape (m, k), None for each drive by itself
+    strengths: from `Transducers.strengths`, shape (k, n); levels: shape (m, k), None for single drives
     """
     counts, drives, weights = hosts
     k = len(strengths)
     counts[:] = k, k if levels is None else len(levels)
     drives.view(np.complex64)[:k, :, 0] = strengths
-    # A thread takes several drives: those after the last must not sound
+    # A thread computes several drives; those after the last must be silent
     drives[k : -(-k // ROWS) * ROWS] = 0.0
     own = weights.view(np.complex64)[..., 0]
     if levels is None:
@@ -166,8 +166,8 @@ def _unit(count: int) -> NDArray[np.float64]:
 
 
 class Surface(NamedTuple):
-    """Points of one body. points: which of all; law: one of `palmfield.acoustics.arp`, or its key; mesh: obstacles
-    that shade them and cut them off, None without; shades: shares that pass where sound is diffracted, else None"""
+    """Points of one body. points: slice of all points; law: ARP law or its key; mesh: obstacles that shade the points,
+    or None; shades: shares of the sound that pass, with diffraction, or None"""
 
     points: slice
     law: str | ArpLaw
@@ -184,7 +184,7 @@ def sound_calls(
     arrays: PhasedArray,
     result: Any,
 ) -> Calls:
-    """Launches that compute the ARP [Pa] of the sums of a table at points, into `result`, shape (w m, n).
+    """Return launches that compute the ARP [Pa] of the sums of a table at points, into `result`, shape (w m, n).
 
     points [m], normals: unit, outward, on the device, vec3, shape (w, n); arrays: for the air
     """
@@ -208,7 +208,7 @@ def sound_calls(
         if len(shaded) < len(surfaces):
             kernel, dim = kernels.fields(rows, device != "cpu"), (capacity // rows, own_runs, count)
             calls.append(launch(kernel, dim, [points, normals, *of_group, None, None, fields], device))
-        # Over what these points got without shades
+        # Overwrites the fields of these points without shades
         for surface in shaded:
             assert surface.shades is not None
             here, dim = surface.points, (capacity // rows, own_runs, surface.points.stop - surface.points.start)

@@ -1,4 +1,4 @@
-"""The field in float64 NumPy: slow, direct, and what the fast kernels are held against."""
+"""Field in float64 NumPy: slow and direct, the reference for the fast kernels."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +22,7 @@ def pressure64(
     absorption_Np_m: float | None = None,
     normals: Float | None = None,
 ) -> tuple[Complex, Complex | None]:
-    """Complex peak pressure of an array in a baffle, and optionally its gradient.
+    """Return the complex peak pressure of an array in a baffle, and optionally its gradient.
 
     p = p0/d A g D(angle) exp(ikd - beta d), summed over the transducers, with their drive A and gain g. A transducer
     emits no sound to points in or behind its own plane (baffle). D is the level of the form of directivity
@@ -30,9 +30,9 @@ def pressure64(
 
     points: [m], array frame, shape (n, 3).
     drive: complex amplitudes, 1 is full drive, shape (len(array),).
-    absorption_Np_m: instead of that of the air, for example 0 for lossless air.
-    normals: unit outward, shape (n, 3), of opaque surfaces at the points: the part of each transducer is weighted by
-        0.5 + 5 cos(angle between normal and the way to it), clipped to 0 to 1.
+    absorption_Np_m: replaces the absorption of the air, for example 0 for lossless air.
+    normals: unit outward normals of opaque surfaces at the points, shape (n, 3); the sound of each transducer is
+        weighted by 0.5 + 5 cos(angle between normal and direction to it), clipped to 0 to 1.
     Returns pressure [Pa], shape (n,), complex128, and gradient [Pa/m], shape (n, 3), complex128, or None.
     Raises PalmfieldError for NaN, infinity or a wrong shape in points or drive, SceneError for a bad array or air.
     """
@@ -66,11 +66,11 @@ def pressure64(
 
 
 def directivity(array: Array, wavenumber: float, cosine: Float) -> Float:
-    """Directivity at the cosine of the angle off the axis, of the shape of the cosine."""
+    """Return the directivity at the cosine of the angle off the axis, in the shape of the cosine."""
     return form_of(array).level(np.maximum(1.0 - cosine**2, 0.0), wavenumber * array.piston_radius_m)
 
 
 def directivity_bend(array: Array, wavenumber: float, cosine: Float) -> Float:
-    """Derivative of the directivity with respect to the cosine of the angle off the axis, of the cosine's shape."""
+    """Return the derivative of the directivity by the cosine of the angle off the axis, in the shape of the cosine."""
     square = np.maximum(1.0 - cosine**2, 0.0)
     return np.asarray(-2.0 * cosine * form_of(array).slope(square, wavenumber * array.piston_radius_m))

@@ -26,13 +26,13 @@ LARGEST_ITERATIONS = 300
 
 @dataclass(frozen=True)
 class Scattering:
-    """Total sound on a rigid body, one value a face, with e^{-i w t}.
+    """Total sound on a rigid body, one value per face, with e^{-i w t}.
 
     vertices: [m], shape (v, 3). faces: shape (m, 3). wavenumber: [rad/m].
     centroids: [m], shape (m, 3). normals: unit, outward, shape (m, 3). areas: [m2], shape (m,).
     pressure: complex peak pressure at the centroids [Pa], shape (m,).
-    gradient: its gradient along the surface [Pa/m], shape (m, 3); across the surface it is 0.
-    iterations: of GMRES. residual: of the linear system, relative.
+    gradient: gradient along the surface [Pa/m], shape (m, 3); the normal component is 0.
+    iterations: number of GMRES iterations. residual: relative residual of the linear system.
     elements_per_wavelength: wavelength over mean edge.
     """
 
@@ -58,29 +58,28 @@ def scatter(
     device: str = "auto",
     tolerance: float = 1e-4,
 ) -> Scattering:
-    """Total sound on a closed rigid body: collocation with one value a face, matrix-free, GMRES.
+    """Return the total sound on a closed rigid body, by matrix-free collocation with one value per face, and GMRES.
 
-    The Helmholtz integral p_i + K p is p/2 on the surface and 0 inside. Each face gives one equation: the first at
-    its centroid less i times the second an eighth of a wavelength below it (the dual-surface equation of Yaghjian and
-    co-workers for radio waves, here for sound). It is Burton & Miller's combined equation with the normal derivative as
-    a difference over that depth, so it has no hypersingular kernel. On a sphere its eigenvalues are proportional to
-    j_n(ka) - i j_n(kb), b the inner radius, and never vanish: no irregular frequencies. For other bodies there is no
-    such proof; momentum and reciprocity are what to check them by. The equation is of the second kind and needs no
-    preconditioner.
+    The Helmholtz integral p_i + K p is p/2 on the surface and 0 inside. The equation of a face is the first condition
+    at its centroid minus i times the second an eighth of a wavelength below it (the dual-surface equation of Yaghjian
+    and co-workers for radio waves). It is Burton & Miller's equation with the normal derivative as a difference over
+    that depth, so it has no hypersingular kernel. On a sphere its eigenvalues are proportional to j_n(ka) - i j_n(kb),
+    with b the inner radius, and never vanish, so there are no irregular frequencies. For other bodies this is not
+    proved; check momentum and reciprocity. The equation is of the second kind and needs no preconditioner.
 
     mesh_vertices: [m], shape (v, 3). faces: shape (m, 3), counter-clockwise seen from outside.
-    incident: pressure without the body, a solution of the wave equation inside it too.
+    incident: pressure without the body, which must satisfy the wave equation inside the body too.
     wavenumber: [rad/m].
-    device: "auto", "cpu" or "cuda:N". tolerance: relative residual at which GMRES stops, 1e-6 at least (float32 sums).
+    device: "auto", "cpu" or "cuda:N". tolerance: relative residual at which GMRES stops, >= 1e-6 (float32 sums).
     Raises PalmfieldError for an open or inverted mesh, for a bad wavenumber or tolerance, for incident sound that is
-    not finite, and where GMRES does not converge. Warns (UserWarning) below 6 elements per wavelength.
+    not finite, and if GMRES does not converge. Warns (UserWarning) below 6 elements per wavelength.
     """
     vertices, triangles = checked(mesh_vertices, faces)
     if not 0.0 < wavenumber < np.inf:
         raise PalmfieldError(f"wavenumber = {wavenumber} must be positive and finite: give 2 pi f/c [rad/m]")
     if not 1e-6 <= tolerance < 1.0:
         raise PalmfieldError(
-            f"tolerance = {tolerance} must lie between 1e-6 and 1, because sums are in float32: use for example 1e-4"
+            f"tolerance = {tolerance} must be between 1e-6 and 1, because sums are in float32: use for example 1e-4"
         )
     resolution = elements_per_wavelength(vertices, triangles, wavenumber)
     normals, areas = face_normals(vertices, triangles)
@@ -126,7 +125,7 @@ def scatter(
 
 
 def wall_arp(scattering: Scattering, air: Air) -> Float:
-    """Radiation pressure on the rigid wall [Pa], shape (m,), positive when it pushes inwards.
+    """Return the radiation pressure on the rigid wall [Pa], shape (m,), positive inwards.
 
     The law is `palmfield.acoustics.arp.TOTAL_FIELD`.
     """

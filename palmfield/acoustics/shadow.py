@@ -1,4 +1,4 @@
-"""Shadow of a body in the sound of an array: geometric acoustics with rays, the cheap substitute for scattering."""
+"""Shadow of a body in the sound of an array by rays, a cheap approximation of scattering."""
 
 import numpy as np
 import warp as wp
@@ -11,13 +11,13 @@ from palmfield.types import Float32, Surface
 from warp_kernels import shadow as kernels
 
 CLEARANCE_m = 2e-4
-"""Height above the surface at which a ray starts: the distance of coarse meshes of a hand from its fine ones."""
+"""Height above the surface at which a ray starts: the distance between coarse and fine meshes of a hand."""
 
 REACH_m = 10.0
 
 
 def shadow_mesh(surface: Surface, device: str = "auto") -> wp.Mesh:
-    """Bounding volume hierarchy of what casts shadows; `device` is where all work with it is done."""
+    """Return the bounding volume hierarchy of the obstacles, on `device`."""
     where = resolve(device)
     vertices: wp.array = wp.array(surface.vertices.astype(np.float32), dtype=wp.vec3, device=where)
     faces: wp.array = wp.array(surface.faces.astype(np.int32).ravel(), dtype=wp.int32, device=where)
@@ -33,10 +33,12 @@ def visibility(
     weights: ArrayLike | None = None,
     clearance_m: float = CLEARANCE_m,
 ) -> Float32:
-    """Share of the sources that each point sees in front of its surface without obstacles, shape (n,), 0 to 1.
+    """Return the weighted share of sources visible from each point of a surface, shape (n,), 0 to 1.
+
+    A source is visible if it is in front of the surface at the point and no obstacle is between.
 
     points: on or near the surface [m], shape (n, 3); normals: unit outward normals there, shape (n, 3).
-    surface_mesh: the obstacles, of `shadow_mesh`, in the same frame.
+    surface_mesh: obstacles, from `shadow_mesh`, in the same frame.
     source_positions: [m], shape (s, 3); weights: 0 or more, for example |drive|^2, shape (s,); equal by default
     Raises PalmfieldError for other shapes, numbers that are not finite, and weights that are negative or sum to 0.
     """

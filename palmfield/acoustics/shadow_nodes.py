@@ -1,4 +1,4 @@
-"""Among which points of a surface the weights of shadows are computed, and how all others take theirs from these."""
+"""Choose the points of a surface at which shadow weights are computed, and interpolate the weights to all points."""
 
 from typing import NamedTuple
 
@@ -9,19 +9,18 @@ from palmfield.types import Float, Float32, Int
 from warp_kernels.knife_edge import NEIGHBOURS
 
 GROUP = 3.75
-"""Edge of the cells whose nodes look at bodies from one place, over the nodes' spacing."""
+"""Edge of the cells whose nodes have one common viewpoint, over the spacing of the nodes."""
 TURN_m = 0.03
-"""Distance for which normals count that are at right angles: two sides of a finger are no neighbours."""
+"""Distance equivalent to an angle of 90 degrees between normals, so that the sides of a finger are not neighbours."""
 STIFFNESS = 0.03
-"""Regularisation of the slopes between nodes where nodes are nearly in a line."""
+"""Regularisation of the slopes between nodes that are nearly in a line."""
 
 
 class ShadowNodes(NamedTuple):
-    """Nodes among n points, all sorted by group.
+    """Nodes among n points, sorted by group.
 
-    numbers: of the points that are nodes, shape (m,). groups: of each, shape (m,). starts: first node of each group,
-    and one past the last. neighbours, shares: nodes from which each point takes its weights and the share of each,
-    shapes (NEIGHBOURS, n).
+    numbers: point numbers of the nodes, shape (m,). groups: group of each node, shape (m,). starts: first node of each
+    group, and one past the last. neighbours, shares: nodes and interpolation weights of each point, (NEIGHBOURS, n).
     """
 
     numbers: Int
@@ -32,9 +31,9 @@ class ShadowNodes(NamedTuple):
 
 
 def shadow_nodes(points: Float, normals: Float, spacing_m: float) -> ShadowNodes:
-    """Nodes about `spacing_m` apart among points [m] with unit outward normals, both of shape (n, 3), n >= 1.
+    """Return nodes about `spacing_m` apart among points [m] with unit outward normals, both of shape (n, 3), n >= 1.
 
-    Shares are those of a plane fitted to near nodes along the surface, so that linear variation is exact.
+    The interpolation is a plane fitted to near nodes along the surface, which is exact for linear variation.
     """
     chosen = _middle_ones(points, _cells(points, normals, spacing_m))
     of_cell = _cells(points[chosen], normals[chosen], GROUP * spacing_m)
@@ -52,7 +51,7 @@ def shadow_nodes(points: Float, normals: Float, spacing_m: float) -> ShadowNodes
 
 
 def _cells(points: Float, normals: Float, edge_m: float) -> Int:
-    """The cell of each point: cubes, and in them which way points face most; numbered from 0 without gaps."""
+    """Return the cell of each point, by cube and main direction of the normal, numbered from 0 without gaps."""
     axis = np.abs(normals).argmax(axis=1)
     facing = 2 * axis + (normals[np.arange(len(axis)), axis] > 0.0)
     keys = np.column_stack([np.floor(points / edge_m).astype(np.int64), facing])
@@ -60,7 +59,7 @@ def _cells(points: Float, normals: Float, edge_m: float) -> Int:
 
 
 def _middle_ones(points: Float, cells: Int) -> Int:
-    """For each cell the point that is nearest to the middle of its points."""
+    """Return for each cell the point nearest to the mean of its points."""
     count = np.bincount(cells)
     middles = np.column_stack([np.bincount(cells, column) / count for column in points.T])
     away = ((points - middles[cells]) ** 2).sum(axis=1)
@@ -70,14 +69,14 @@ def _middle_ones(points: Float, cells: Int) -> Int:
 
 
 def _shares(points: Float, normals: Float, numbers: Int) -> tuple[Int, Float]:
-    """Nodes near each point and how much of each it takes, shapes (n, NEIGHBOURS)."""
-    there = cKDTree(np.hstack([points, TURN_m * normals])[numbers])
-    distance, nearest = there.query(np.hstack([points, TURN_m * normals]), k=min(NEIGHBOURS, len(numbers)))
+    """Return the nodes near each point and their interpolation weights, shapes (n, NEIGHBOURS)."""
+    tree = cKDTree(np.hstack([points, TURN_m * normals])[numbers])
+    distance, nearest = tree.query(np.hstack([points, TURN_m * normals]), k=min(NEIGHBOURS, len(numbers)))
     distance, nearest = distance.reshape(len(points), -1), nearest.reshape(len(points), -1)
     reach = np.maximum(1.05 * distance[:, -1:], 1e-6)
     weights = (1.0 - (distance / reach) ** 2) ** 2 if distance.shape[1] > 1 else np.ones_like(distance)
     offsets = (points[numbers[nearest]] - points[:, None]) / reach[..., None]
-    # Along the surface only: nodes lie in it
+    # Only along the surface, which contains the nodes
     offsets -= np.einsum("nki,ni->nk", offsets, normals)[..., None] * normals[:, None]
     rows = np.concatenate([np.ones((*offsets.shape[:2], 1)), offsets], axis=2)
     matrix = np.einsum("nk,nki,nkj->nij", weights, rows, rows)

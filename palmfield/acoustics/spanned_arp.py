@@ -1,4 +1,4 @@
-"""ARP at points at rest, for drives that a few of them span: a focus that moves along a predicted path."""
+"""ARP at fixed points for drives in a space of few dimensions, as of a focus on a predicted path."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ from palmfield.types import Complex, Float, Float32
 from warp_kernels import transfer as kernels
 
 OUT_OF_SPAN = 1e-6
-"""Share of the norm of the largest drive that may lie outside the span: less than the float32 error of the field."""
+"""Largest norm of a drive outside the span, relative to the largest drive; less than the float32 error of the field."""
 LEFT_OUT = 1e-7
-"""Share of the largest singular value of the drives of a path: smaller ones are not in the span."""
+"""Smallest singular value in the span, relative to the largest one of the drives of a path."""
 MOST_SHARE = 0.75
-"""Share of the number of transducers: a span of more dimensions saves little work for its memory."""
+"""Largest dimension of the span over the number of transducers; larger spans save little work for their memory."""
 NUMBERS_PER_THREAD = 1_000_000
-"""Fewest numbers of the fields per thread."""
+"""Smallest number of field values per thread."""
 
 
 def drives_span(drives: Complex) -> Complex | None:
-    """V, shape (N, r), with orthonormal columns and drives = (drives @ V) V^H for drives (m, N); None where it would
-    not be small."""
+    """Return V, shape (N, r), with orthonormal columns and drives = (drives @ V) V^H for drives (m, N); None if r is
+    not small."""
     _, values, rows = np.linalg.svd(drives, full_matrices=False)
     count = int(np.count_nonzero(values > LEFT_OUT * values[0])) if len(values) else 0
     return np.ascontiguousarray(rows[:count].conj().T) if 0 < count <= MOST_SHARE * drives.shape[1] else None
@@ -36,10 +36,10 @@ def drives_span(drives: Complex) -> Complex | None:
 
 @dataclass(frozen=True)
 class SpannedFields:
-    """The fields of a few drives at points. Immutable, and safe to share among threads.
+    """Fields of the rows of V^H at points. Immutable, so threads can share it.
 
-    basis: V of `drives_span`, shape (N, r): the fields are of the rows of V^H; weights: of the ARP's law
-    fields: numbers as `warp_kernels.transfer.matrix` gives them, shape (blocks, r, 8); count: of points
+    basis: V of `drives_span`, shape (N, r); weights: weights of the ARP law; count: number of points
+    fields: values as in `warp_kernels.transfer.matrix`, shape (blocks, r, 8)
     """
 
     basis: Complex
@@ -51,11 +51,11 @@ class SpannedFields:
 def spanned_fields(
     field: MultiArrayField, points: Float, normals: Float, basis: Complex, law: str | ArpLaw = "default"
 ) -> SpannedFields:
-    """Fields of the rows of V^H at points [m], shape (n, 3), with unit outward normals, in the array frame.
+    """Return the fields of the rows of V^H at points [m], shape (n, 3), with unit outward normals, in the array frame.
 
     basis: V of `drives_span`, shape (N, r)
-    They are computed with geometry in double precision and kept in single: it is done once, and sums of them then have
-    less error than fields in single precision.
+    They are computed once, with geometry in double precision, and stored in single precision. Sums of them have less
+    error than fields computed in single precision.
     Raises SceneError for an unknown law, PalmfieldError for bad points or normals.
     """
     outward, weights = unit_normals(normals, len(points)), law_weights(law, field.air)
@@ -76,8 +76,8 @@ def spanned_fields(
 
 
 class SpannedArp:
-    """ARP of drives in the span of some fields. Belongs to the state of one simulation, and is used by one thread at a
-    time; on the CPU it takes helper threads."""
+    """ARP of drives in the span of some fields. It is part of the state of one simulation and not thread-safe; on the
+    CPU it starts threads itself."""
 
     def __init__(self, fields: SpannedFields):
         self.fields = fields
@@ -85,9 +85,9 @@ class SpannedArp:
         self._rooms: dict[int, tuple[Float32, Float32, list[Calls], int]] = {}
 
     def evaluate(self, drives: Complex) -> Float32 | None:
-        """ARP [Pa], shape (m, n), of drives (m, N); None where one of them lies outside the span.
+        """Return the ARP [Pa], shape (m, n), of drives (m, N); None if a drive is outside the span.
 
-        A view of a buffer that the next call for as many drives overwrites.
+        The result is a view of a buffer that the next call with as many drives overwrites.
         """
         shares = drives @ self.fields.basis
         rest = drives - shares @ self._back.T
@@ -118,5 +118,5 @@ class SpannedArp:
 
 
 def _squares(rows: Complex) -> Float:
-    """Sum of |a|^2 of each row."""
+    """Return the sum of |a|^2 of each row."""
     return np.asarray(np.add.reduce(rows.real**2 + rows.imag**2, axis=1))

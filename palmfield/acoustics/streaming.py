@@ -1,9 +1,9 @@
-"""The wind that sound drives: an upper bound on its pressure at the end of the sound, and the time of its build-up.
+"""Acoustic streaming: an upper bound on the pressure of the wind at the end of a beam, and the time of its build-up.
 
 Air that absorbs sound of intensity I absorbs its momentum: a force of 2 alpha I/c per volume (Nyborg 1965; Lighthill
-1978), which is alpha times the ARP that the sound would have on a wall. Without viscosity and turbulence, the integral
-of this force along the axis of a beam is the pressure of the wind where it is stopped, and rho w^2/2 before. Viscosity
-and turbulence reduce it, so that this is a bound.
+1978), which is alpha times the ARP of the sound on a wall. Without viscosity and turbulence, the integral of this force
+along the axis of a beam is the stagnation pressure of the wind, and rho w^2/2 in the free wind. Viscosity and
+turbulence reduce it, so this is an upper bound.
 """
 
 import math
@@ -16,16 +16,16 @@ from palmfield.acoustics.nonlinear import arp_left, steepening
 from palmfield.types import Air, Complex
 
 LAST_SIGMA = 0.95
-"""Up to which harmonics of a plane wave are counted one by one; close to 1 they take up without bound, as a shock."""
+"""Largest sigma for the sum over harmonics of a plane wave; near 1 their absorption diverges, and a shock forms."""
 
 
 class Wind(NamedTuple):
     """Upper bound of the wind of a beam, at the end of the beam.
 
-    pressure_Pa: where it is stopped. speed_m_s: before.
-    force: of it, over that of the sound of the beam, on a wall that stops both.
-    harmonics: share of the momentum of the sound that is lost at the end by steepening, by harmonics and by a shock.
-    time_s: of the build-up, about: the transit time of the air through the loud part of the beam, at half that speed.
+    pressure_Pa: stagnation pressure. speed_m_s: speed of the free wind.
+    force: force of the wind on a wall over that of the sound.
+    harmonics: share of the momentum of the sound that is lost by steepening, by harmonics and a shock.
+    time_s: approximate build-up time: transit time of the air through the loud part of the beam at half the speed.
     """
 
     pressure_Pa: float
@@ -36,10 +36,10 @@ class Wind(NamedTuple):
 
 
 def wind(step_m: float, pressures_Pa: Complex, air: Air, frequency_Hz: float) -> Wind:
-    """The wind of a beam, whose pressures are those of `nonlinear.beams`, at even steps, shape (n,).
+    """Return the wind of a beam with the pressures of `nonlinear.beams`, at even steps, shape (n,).
 
-    Harmonics absorb more than the line at the drive frequency: sum n^2 B_n^2 = 2/s^2 (1/sqrt(1 - s^2) - 1) of
-    Fubini's B_n, sigma s, by Kapteyn's series. The momentum that a shock takes from the sound goes to the wind as well.
+    Harmonics are absorbed more than the fundamental: sum n^2 B_n^2 = 2/s^2 (1/sqrt(1 - s^2) - 1) for Fubini's B_n at
+    sigma = s, by Kapteyn's series. The momentum that the sound loses in a shock also drives the wind.
     """
     arp = np.abs(pressures_Pa) ** 2 / (density(air) * sound_speed(air) ** 2)
     if not arp.any():

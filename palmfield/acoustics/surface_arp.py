@@ -1,4 +1,4 @@
-"""Radiation pressure at a constant number of points, repeated for the steps of a simulation."""
+"""Radiation pressure at a constant number of points, for the steps of a simulation."""
 
 import cmath
 import math
@@ -22,16 +22,16 @@ from warp_kernels.gradient import MOST
 from warp_kernels.pressure import BLOCK
 
 MATRIX_FROM = 128
-"""Number of drives from which a transfer matrix is used. For 256 transducers and 762 points on one core 128 drives take
+"""Number of drives from which a transfer matrix is used. With 256 transducers, 762 points and one core, 128 drives take
 15 ms with a new matrix and without one; 32 take 8.5 ms with a new matrix, 3.7 ms with a stored one and 3.6 ms without.
-The choice depends only on the number of drives, not on whether a matrix is stored, so runs repeat to the bit."""
+The choice depends only on the number of drives, so that runs repeat to the bit."""
 RANGES_KEPT = 64
 MATRIX_KEPT_BYTES = 2**26
-"""A transfer matrix up to this size is kept for the next call with the same points."""
+"""Largest transfer matrix that is stored for the next call with the same points."""
 
 
 class Shades(NamedTuple):
-    """Share of the sound of each transducer at each point: real and imaginary part on the field's device, float32.
+    """Share of the sound of each transducer at each point: real and imaginary part on the device, float32.
 
     Shape (blocks of points, transducers as `rows_of` numbers them, points of a block).
     """
@@ -41,7 +41,7 @@ class Shades(NamedTuple):
 
 
 def rows_of(field: MultiArrayField) -> Int:
-    """The row of each transducer in `Shades`, shape (field.count,)."""
+    """Return the row of each transducer in `Shades`, shape (field.count,)."""
     rows: Int = np.empty(field.count, np.int32)
     order = [group.chosen[one.order] for group, one in zip(field.groups, field.evaluators, strict=True)]
     rows[np.concatenate(order)] = np.arange(field.count)
@@ -51,10 +51,10 @@ def rows_of(field: MultiArrayField) -> Int:
 class SurfaceArp:
     """ARP and related quantities at `count` points for successive drives, in fixed buffers with recorded launches.
 
-    It belongs to the state of one simulation and is used by one thread at a time; on the CPU it takes helper threads.
+    It is part of the state of one simulation and not thread-safe; on the CPU it starts threads itself.
 
-    field: of the arrays. count: of points. law: one of `palmfield.acoustics.arp` or its key.
-    threads: on the CPU, 1 or more; None is all cores that this process may use.
+    field: field of the arrays. count: number of points. law: law of `palmfield.acoustics.arp` or its key.
+    threads: on the CPU, 1 or more; None is all cores of this process.
     """
 
     def __init__(self, field: MultiArrayField, count: int, law: str | ArpLaw = "default", threads: int | None = None):
@@ -69,7 +69,7 @@ class SurfaceArp:
         self._flux = SharedArray(count, wp.vec3, device)
         self._sound = SurfaceSound(self._arp.host[0], self._amplitude.host[0])
         self._sound_and_flux = SurfaceSound(*self._sound[:2], self._flux.host)
-        self._sounding = SharedArray(1, wp.int32, device)  # drives at a time
+        self._sounding = SharedArray(1, wp.int32, device)  # number of drives per pass
         self._fields = _fields(MOST, count, device)
         self._flat_normals = self._normals.host.reshape(-1)
         self._columns = np.empty((3, count), np.float64 if accurate else np.float32)
@@ -92,7 +92,7 @@ class SurfaceArp:
         flux: bool = False,
         shades: Shades | None = None,
     ) -> SurfaceSound:
-        """The sound of one drive at the points. Its arrays are views of buffers that the next call overwrites.
+        """Return the sound of one drive at the points, as views of buffers that the next call overwrites.
 
         points: [m], normals: unit outward, array frame, both of shape (count, 3).
         drive: complex amplitudes of all transducers, 1 is full drive, shape (field.count,).
@@ -115,14 +115,14 @@ class SurfaceArp:
     def evaluate_sums(
         self, points: Float | Float32, normals: Float | Float32, units: Complex, levels: Complex
     ) -> Float32:
-        """ARP [Pa] of sums of a few drives, levels @ units, shape (m, count): the field of each drive is computed once.
+        """Return the ARP [Pa] of sums of a few drives, levels @ units, shape (m, count); each field is computed once.
 
         units: drives, shape (k, field.count); silent transducers cost nothing. levels: weight of each, shape (m, k).
-        Raises PalmfieldError as `evaluate`, and for levels of another number of units or that are not finite.
+        Raises PalmfieldError as `evaluate`, and for levels that are not finite or not of shape (m, k).
         """
         shape = self.count, 3
         if points.shape != shape or normals.shape != shape or units.shape[1:] != (self.field.count,):
-            self.evaluate(points, normals, units[0])  # says what is expected
+            self.evaluate(points, normals, units[0])  # raises an error with the expected shapes
         if levels.ndim != 2 or levels.shape[1] != len(units) or len(units) == 0:
             raise PalmfieldError(
                 f"levels {levels.shape} of units {units.shape}: give (m, k) and (k, {self.field.count}), k >= 1"
@@ -145,19 +145,19 @@ class SurfaceArp:
         shades: Shades | None = None,
         amplitudes: Float32 | None = None,
     ) -> "_Sums | None":
-        """Fill the buffers for MOST drives after another, complex128, shape (m, N).
+        """Compute drives, complex128, shape (m, N), in passes of MOST.
 
-        out: takes their ARP, amplitudes: the pressures' peak amplitudes, shapes (m, count)
-        levels: of sums, whose ARP is in what is returned
+        out: filled with the ARP; amplitudes: filled with the peak amplitudes of the pressures; shapes (m, count)
+        levels: weights of sums, whose ARP is in the returned arrays
         """
         self._points.host[...] = points
         self._normals.host[...] = normals
-        # By column: reduction along short rows takes ten times as long in NumPy
+        # By column, because reduction along short rows takes ten times as long in NumPy
         self._columns[...] = points.T
         low = np.minimum.reduce(self._columns, axis=1).tolist()
         high = np.maximum.reduce(self._columns, axis=1).tolist()
         if not math.isfinite(sum(low)) or min(low) < -check.FARTHEST_m or max(high) > check.FARTHEST_m:
-            check.points(points, np.float64)  # says which
+            check.points(points, np.float64)  # raises an error with the invalid point
         if not cmath.isfinite(np.add.reduce(drives, axis=None)):
             raise _not_finite("drive", drives[int(check.first_bad(drives))])
         sums: _Sums | None = None
@@ -181,21 +181,21 @@ class SurfaceArp:
                 sums.levels.host[..., 1] = levels.imag
                 blocks = sums.blocks[start // MOST]
             else:
-                known = self._recorded
+                launches = self._recorded
                 if shades is not None:
                     if self._shades is not shades.real:
                         self._shades, self._shaded = shades.real, {}
-                    known = self._shaded
-                if falls not in known:
-                    known[falls] = self._record(falls, shades)
-                blocks = known[falls]
+                    launches = self._shaded
+                if falls not in launches:
+                    launches[falls] = self._record(falls, shades)
+                blocks = launches[falls]
             if self._gpu:
                 self._run_on_gpu(blocks, count, sums)
             else:
                 share(blocks, self._threads)
             if sums is not None:
                 continue
-            # A NaN makes a point dark: it would not show in the ARP
+            # The ARP does not show a NaN, because such a point is dark
             if not math.isfinite(np.add.reduce(self._amplitude.host[:count], axis=None)):
                 raise _not_finite("normals", self._normals.host)
             if out is not None:
@@ -214,12 +214,12 @@ class SurfaceArp:
         shades: Shades | None = None,
         amplitudes: Float32 | None = None,
     ) -> Float32:
-        """ARP [Pa] of many drives at the points, shape (m, count), by the cheaper way.
+        """Return the ARP [Pa] of many drives at the points, shape (m, count), by the faster method.
 
-        From MATRIX_FROM drives on it uses a transfer matrix, and stores it for the next call with the same points. For
-        fewer drives, different directivities, mode "accurate" or points far apart it uses the kernels of the field.
+        From MATRIX_FROM drives on this is a transfer matrix, which is stored for the next call with the same points.
+        For fewer drives, different directivities, mode "accurate" or points far apart, it is the kernels of the field.
 
-        drives: shape (m, field.count). shades: as `evaluate`, without a matrix.
+        drives: shape (m, field.count). shades: as for `evaluate`; they exclude a matrix.
         amplitudes: array to fill with the peak amplitudes of the pressures [Pa], shape (m, count), float32.
         Raises PalmfieldError as `evaluate`, and for normals that are not unit vectors.
         """
@@ -229,16 +229,16 @@ class SurfaceArp:
         if frames == 0 or self.count == 0:
             return result
         by_matrix = alike and frames >= MATRIX_FROM
-        transfer = self._known_matrix(points, normals) if by_matrix else None
+        transfer = self._stored_matrix(points, normals) if by_matrix else None
         if by_matrix and transfer is None:
-            # Few scenes have so many drives at once
+            # Imported here, because few scenes have so many drives at once
             from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
 
             by_matrix = not too_steep(evaluator, points)
         if not by_matrix:
             shape = self.count, 3
             if points.shape != shape or normals.shape != shape or drives.shape[1:] != (self.field.count,):
-                self.evaluate(points, normals, drives[0])  # says what is expected
+                self.evaluate(points, normals, drives[0])  # raises an error with the expected shapes
             exact = drives.astype(np.complex128, copy=False)
             self._run(points, normals, exact, result, shades=shades, amplitudes=amplitudes)
             return result
@@ -257,16 +257,16 @@ class SurfaceArp:
             return result
         return transfer.arp(drives, self.law, out=result)
 
-    def _known_matrix(self, points: Float | Float32, normals: Float | Float32) -> Any:
-        """The last transfer matrix, if it is for these points."""
+    def _stored_matrix(self, points: Float | Float32, normals: Float | Float32) -> Any:
+        """Return the stored transfer matrix if it is for these points, else None."""
         last = self._transfer
         if last is None or points.shape != last.where.shape or normals.shape != last.where.shape:
             return None
-        here = np.logical_and.reduce(last.where == points.astype(np.float32), axis=None)
-        return last if here and np.logical_and.reduce(last.normals == normals.astype(np.float32), axis=None) else None
+        same = np.logical_and.reduce(last.where == points.astype(np.float32), axis=None)
+        return last if same and np.logical_and.reduce(last.normals == normals.astype(np.float32), axis=None) else None
 
     def _record(self, falls: tuple[str, ...], shades: Shades | None = None) -> list[Calls]:
-        """The launches of each block: every directivity adds its fields, then comes the ARP."""
+        """Return the launches of each block: fields of every directivity are added, then the ARP is computed."""
         blocks: list[Calls] = []
         for block in self._blocks:
             pressure, gradient = (values[:, block] for values in self._fields)
@@ -287,7 +287,7 @@ class SurfaceArp:
         return blocks
 
     def _record_sums(self, falls: tuple[str, ...], frames: int, units: int) -> "_Sums":
-        """The launches of each block for sums, MOST units after another; after the last comes the ARP of the sums."""
+        """Return the launches of each block for sums, in passes of MOST units; the last pass computes the ARP."""
         device = self.field.device
         levels = SharedArray((frames, units), wp.vec2, device)
         arp = SharedArray((frames, self.count), wp.float32, device)
@@ -305,7 +305,7 @@ class SurfaceArp:
         return result
 
     def _run_on_gpu(self, blocks: list[Calls], drives: int, sums: "_Sums | None") -> None:
-        """Launches, with copies to and from the device, of the ARP of sums or of the sound of a number of drives."""
+        """Run launches, with copies to and from the device, for the ARP of sums or the sound of a number of drives."""
         taken = [self._points, self._normals, self._sounding]
         for values in taken if sums is None else [*taken, sums.levels]:
             values.upload()
@@ -315,17 +315,17 @@ class SurfaceArp:
         if sums is not None:
             sums.arp.download()
         else:
-            for found in (self._arp, self._amplitude):
-                found.download(drives * self.count)
+            for result in (self._arp, self._amplitude):
+                result.download(drives * self.count)
             self._flux.download()
         wp.synchronize_stream(self.field.device)
 
     def _record_fields(
         self, falls: tuple[str, ...], block: slice, into: tuple[Any, Any], shades: Shades | None = None
     ) -> Calls:
-        """Launches that assemble the fields of all directivities at the points of a block.
+        """Return launches that sum the fields of all directivities at the points of a block.
 
-        into: pressures and gradients of up to MOST drives there
+        into: pressures and gradients of up to MOST drives
         """
         calls, row = [], 0
         room = scratch(self.field.device)
@@ -344,13 +344,13 @@ class SurfaceArp:
 
 
 def _fields(drives: int, points: int, device: str) -> tuple[Any, Any]:
-    """Room for pressures and gradients."""
+    """Return arrays for pressures and gradients."""
     pressure: wp.array = wp.empty((drives, points), dtype=wp.vec2, device=device)
     return pressure, wp.empty((drives, points, 3), dtype=wp.vec2, device=device)
 
 
 class _Sums(NamedTuple):
-    """Work arrays of `evaluate_sums`: weight of each unit, the ARP, and the launches by MOST units."""
+    """Work arrays of `evaluate_sums`: weight of each unit, ARP, and launches for passes of MOST units."""
 
     levels: SharedArray
     arp: SharedArray
@@ -363,10 +363,10 @@ def _not_finite(name: str, values: Complex | Float | Float32) -> PalmfieldError:
 
 
 class _GroupDrive:
-    """The transducers of one directivity as the kernels take them, for up to MOST drives at a time.
+    """Transducers of one directivity as input of the kernels, for up to MOST drives per pass.
 
-    chosen: their numbers in the kernels' order; gain: of each, or None; whole: ranges where all drives sound
-    amplitudes: of drives, shape (MOST, n), `fall` and `ranges`: what the kernels read
+    chosen: transducer numbers in the order of the kernels; gain: gain of each, or None; whole: ranges of all drives
+    amplitudes: amplitudes of drives, shape (MOST, n); fall, ranges: inputs of the kernels
     """
 
     def __init__(self, group: DirectivityGroup, evaluator: FieldEvaluator):
@@ -386,11 +386,11 @@ class _GroupDrive:
         self.inputs = [*inputs, self.fall.array]
 
     def narrowed(self, emitted: Complex) -> Int:
-        """Ranges without what is silent at either end, transducers or drives, of amplitudes (m, n)."""
+        """Return ranges without silent transducers and drives at both ends, for amplitudes (m, n)."""
         silent = (emitted == 0.0).tobytes()
-        known = self._narrowed.get(silent)
-        if known is not None:
-            return known
+        ranges = self._narrowed.get(silent)
+        if ranges is not None:
+            return ranges
         if len(self._narrowed) >= RANGES_KEPT:
             self._narrowed.clear()
         self._narrowed[silent] = result = np.zeros_like(self.whole)

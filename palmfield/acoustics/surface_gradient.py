@@ -1,4 +1,4 @@
-"""Gradient along a surface of values given by triangle."""
+"""Gradient along a surface of values at triangles."""
 
 import numpy as np
 from scipy import sparse
@@ -12,17 +12,17 @@ POWERS = [(a, total - a) for total in range(4) for a in range(total + 1)]
 
 NEARNESS = 0.15
 LEAST_COSINE = 0.5
-"""Faces turned by 60 deg or more take no part: across a sharp edge the gradient is not continuous."""
+"""Faces rotated by 60 deg or more are not used, because the gradient is not continuous across a sharp edge."""
 
 RIDGE = 1e-9
 
 
 def surface_gradient(vertices: Float, faces: Int, values: Complex) -> Complex:
-    """Tangential gradient at the centroids [per m], shape (m, 3), of values at the centroids, shape (m,).
+    """Return the tangential gradient at the centroids [per m], shape (m, 3), of values at the centroids, shape (m,).
 
-    A cubic in the plane of the face, fitted by least squares to two rings of neighbours: those that share a vertex, and
-    those that share one with these. Near faces weigh more, turned ones less. At eight triangles per wavelength a cubic
-    follows a wave along the surface to 1 %, a quadratic over one ring to 6 %.
+    A cubic in the plane of the face is fitted by least squares to two rings of neighbours, where neighbours share a
+    vertex. Near faces have larger weights, rotated faces smaller ones. For a wave along the surface with eight
+    triangles per wavelength the error is 1 %; a quadratic over one ring would have 6 %.
     """
     count = len(faces)
     ones = np.ones(3 * count, np.float32)
@@ -40,14 +40,14 @@ def surface_gradient(vertices: Float, faces: Int, values: Complex) -> Complex:
         rows = np.arange(first, min(first + CHUNK, count))
         size = np.diff(around.indptr)[rows]
         slot = np.arange(size.max())
-        there = slot < size[:, None]
-        neighbours = around.indices[np.where(there, around.indptr[rows][:, None] + slot, around.indptr[rows][:, None])]
+        valid = slot < size[:, None]
+        neighbours = around.indices[np.where(valid, around.indptr[rows][:, None] + slot, around.indptr[rows][:, None])]
         offset = centroids[neighbours] - centroids[rows, None]
         x, y = (np.einsum("nsk,nk->ns", offset, axis[rows]) for axis in (right, up))
-        scale = np.sqrt(np.where(there, x**2 + y**2, 0.0).max(axis=1))
+        scale = np.sqrt(np.where(valid, x**2 + y**2, 0.0).max(axis=1))
         x, y = x / scale[:, None], y / scale[:, None]
         facing = np.einsum("nsk,nk->ns", normals[neighbours], normals[rows])
-        weight = np.where(there, np.maximum(facing - LEAST_COSINE, 0.0) / (NEARNESS + x**2 + y**2) ** 2, 0.0)
+        weight = np.where(valid, np.maximum(facing - LEAST_COSINE, 0.0) / (NEARNESS + x**2 + y**2) ** 2, 0.0)
         terms = np.stack([x**a * y**b for a, b in POWERS], axis=2)
         weighted = terms * weight[..., None]
         left = weighted.transpose(0, 2, 1) @ terms

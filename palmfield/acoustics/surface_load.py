@@ -1,4 +1,4 @@
-"""Total effect of the sound on a surface."""
+"""Forces and torques of the sound on a surface."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,19 +6,19 @@ from numpy.typing import NDArray
 from palmfield.types import Float, Float32, Int
 
 CLEARANCE_M = 2e-3
-"""Least distance of a body from the board of an array [m]."""
+"""Smallest allowed distance of a body from the board of an array [m]."""
 
 
 class Parts:
-    """The parts of a body to which its faces belong, for sums over the faces of each in a fixed order.
+    """Parts of a body, for sums over the faces of each part in a fixed order.
 
-    owners: the part of each face, shape (n,). count: of parts.
-    starts: first face of each run, shape (k,). rows: target of the six sums of each run, part by part, shape (6 k,).
+    owners: part of each face, shape (n,). count: number of parts.
+    starts: first face of each run, shape (k,). rows: target of the six sums of each run, by part, shape (6 k,).
     """
 
     def __init__(self, owners: Int, count: int):
         self.count = count
-        # Consecutive faces mostly belong to one part: first the sum over each run of them, then over the runs
+        # Consecutive faces mostly belong to one part, so runs of faces are summed first, and then the runs
         changes: NDArray[np.bool_] = np.empty(len(owners), np.bool_)
         changes[:1] = True
         np.not_equal(owners[1:], owners[:-1], out=changes[1:])
@@ -28,9 +28,9 @@ class Parts:
 
 
 def pushes(areas: Float, normals: Float, points: Float) -> Float:
-    """Force [m2] and moment about the origin [m3] of a unit pressure on each face, as six rows, shape (6, n).
+    """Return force [m2] and moment about the origin [m3] of a unit pressure on each face, as six rows, shape (6, n).
 
-    areas: [m2], shape (n,); normals: unit, outward, points: where the faces are [m], both of shape (n, 3), in one frame
+    areas: [m2], shape (n,); normals: unit, outward; points: centres of the faces [m]; both (n, 3) in one frame
     """
     rows = np.empty((6, len(areas)))
     force, moment = rows[:3], rows[3:]
@@ -43,11 +43,11 @@ def pushes(areas: Float, normals: Float, points: Float) -> Float:
 
 
 def resultants(arp: Float | Float32, of_unit: Float, origins: Float, parts: Parts) -> tuple[Float, Float]:
-    """Forces [N] on the parts of a body and torques about their origins [N m], shapes (b, 3), from the faces' ARP.
+    """Return forces [N] on the parts of a body and torques about their origins [N m], shapes (b, 3).
 
-    arp: [Pa], positive pushes in, shape (n,); of_unit: of `pushes`, shape (6, n).
-    origins: of the parts [m], in the frame of the faces, shape (b, 3)
-    Faces are added up in a fixed order, so that equal input gives equal bits.
+    arp: ARP on the faces [Pa], positive inwards, shape (n,); of_unit: from `pushes`, shape (6, n).
+    origins: origins of the parts [m], in the frame of the faces, shape (b, 3)
+    Faces are summed in a fixed order, so that equal input gives equal bits.
     """
     if len(arp) == 0:
         return np.zeros((parts.count, 3)), np.zeros((parts.count, 3))

@@ -27,17 +27,17 @@ ANY_QUALITY = Estimate(
 """Quality factor of the resonance of a transducer, for an array without data."""
 
 TABLE_MISFIT_LIMIT = 0.02
-"""Largest accepted distance of the fitted polynomial from the entries of a table, relative to the axis."""
+"""Largest accepted error of the fitted polynomial at the entries of a table, relative to the axis."""
 
 
 def table_coefficients(table: Float) -> Float:
-    """Quintic in sin^2(angle) nearest to a table, shape (6,), lowest power first; it is exactly 1 on the axis.
+    """Return the quintic in sin^2(angle) nearest to a table, shape (6,), lowest power first; it is 1 on the axis.
 
-    Least squares over every half degree of the monotone cubic interpolant (PCHIP) of the table, which is continued
-    evenly across the axis so that it is smooth there.
+    Least squares at every half degree of the monotone cubic interpolant (PCHIP) of the table, which is mirrored at the
+    axis so that it is smooth there.
 
     table: angle [deg] from 0 to 90 and amplitude relative to the axis, shape (m, 2).
-    Raises SceneError when the quintic is more than TABLE_MISFIT_LIMIT away from an entry of the table.
+    Raises SceneError if the error of the quintic at an entry exceeds TABLE_MISFIT_LIMIT.
     """
     quintic = nearest_quintic(table)
     misfit = _misfit(quintic, table)
@@ -51,12 +51,12 @@ def table_coefficients(table: Float) -> Float:
 
 
 def table_misfit(table: Float) -> float:
-    """Largest distance between the entries of a table and the quintic fitted to it, relative to the axis value."""
+    """Return the largest error of the fitted quintic at the entries of a table, relative to the axis."""
     return float(_misfit(nearest_quintic(table), table).max())
 
 
 def nearest_quintic(table: Float) -> Float:
-    """The fit of `table_coefficients`, however bad."""
+    """Return the fit of `table_coefficients` without a check of its error."""
     angle, amplitude = table.T
     smooth = scipy.interpolate.PchipInterpolator(
         np.concatenate([-angle[:0:-1], angle]), np.concatenate([amplitude[:0:-1], amplitude])

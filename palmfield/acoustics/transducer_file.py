@@ -1,4 +1,4 @@
-"""Arrays from a CSV file with a line for each transducer."""
+"""Read arrays from a CSV file with one line per transducer."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,17 +13,17 @@ from palmfield.types import Array, Float
 LENGTHS_m = {"m": 1.0, "mm": 1e-3}
 NORMAL = ("nx", "ny", "nz")
 MOST_GAIN = 2.0
-"""Transducers of one array differ by tenths; what is louder is a level, which p0 holds."""
+"""Largest gain: transducers of one array differ by tenths; larger values are levels, which belong in p0."""
 FARTHEST_m = 5.0
-"""Distance from the array's frame above which a position is assumed to be in another unit."""
+"""Distance from the origin of the array frame above which a position is assumed to be in another unit."""
 
 
 @dataclass(frozen=True)
 class TransducerTable:
-    """The data of a file on the transducers of an array, comparable: in the array's frame, one entry per transducer.
+    """Data of the transducers of an array in a file, in the array frame, one entry per transducer; comparable by value.
 
     positions: [m]; normals: emitting directions of any length; gains: amplitude relative to p0, and phase as in
-    `palmfield.types.Array`; addresses: in the byte order of the board, None if the file gives none.
+    `palmfield.types.Array`; addresses: in the byte order of the board, None if not in the file.
     """
 
     positions: tuple[tuple[float, ...], ...]
@@ -32,20 +32,20 @@ class TransducerTable:
     addresses: tuple[int, ...] | None
 
     def array(self, p0_Pa_m: float) -> Array:
-        """The array. Raises SceneError as `palmfield.acoustics.placement.from_poses`."""
+        """Return the array. Raises SceneError as `palmfield.acoustics.placement.from_poses`."""
         address = None if self.addresses is None else np.array(self.addresses, np.int32)
         gain = None if self.gains is None else np.array(self.gains)
         return from_poses("csv", self.positions, self.normals, p0_Pa_m, address=address, gain=gain)
 
 
 def read_transducers(path: str | Path) -> TransducerTable:
-    """The transducers in a CSV file with a line of column names.
+    """Read the transducers from a CSV file with a line of column names.
 
-    Columns: x_m, y_m, z_m or x_mm, y_mm, z_mm; if they don't all emit along z nx, ny, nz; gain (amplitude relative to
-    p0, -2 to 2; 0 is dead, -1 inverted) and phase_deg where they differ; address, the place in the board's byte order.
-    Raises SceneError for a file that cannot be read, for a missing, unknown or doubled column, and for two transducers
-    at one place. Raises SceneError with line and column for text, NaN, a direction of length 0, gains beyond 2, and
-    addresses that are not 0 to n - 1.
+    Columns: x_m, y_m, z_m or x_mm, y_mm, z_mm. Optional: emitting direction nx, ny, nz (default z); gain (amplitude
+    relative to p0, -2 to 2; 0 is dead, -1 inverted); phase_deg; address, the number in the byte order of the board.
+    Raises SceneError for a file that cannot be read, for a missing, unknown or repeated column, and for two transducers
+    at one position; with line and column for text, NaN, a direction of length 0, gains beyond 2, and addresses that are
+    not 0 to n - 1.
     """
     file = Path(path)
     columns, places = read_table(file)

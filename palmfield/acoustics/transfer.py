@@ -1,4 +1,4 @@
-"""Many drive frames on the same points: the field of each transducer once, then a matrix product a frame."""
+"""ARP of many drive frames at the same points: fields of all transducers once, then one matrix product per frame."""
 
 import functools
 from collections.abc import Callable
@@ -22,31 +22,31 @@ from warp_kernels import products
 from warp_kernels import transfer as kernels
 
 DROPPED = 1e-5
-"""Share of the norm of each frame that a reduction to fewer dimensions may lose."""
+"""Largest share of the norm of each frame that is lost by a reduction to fewer dimensions."""
 SPAN_FROM = 0.7
-"""Share of the transducers above which fewer dimensions save no work."""
+"""Share of the number of transducers above which a reduction saves no work."""
 FIRST_SAMPLE = 64
 
-# Sixteen rows of points for a block of frames are 1 MB: they stay in the cache between product and ARP
+# Sixteen rows of points for a block of frames are 1 MB, so they remain in the cache between product and ARP
 POINTS_A_BLOCK = 256
 FRAMES_A_BLOCK = 64
 GPU_SCRATCH_BYTES = 2**31
 BYTES_LIMIT = 2**32
-"""Most that a matrix may take [bytes], however much memory there is."""
+"""Largest size of a matrix [bytes] on any machine."""
 GPU_SHARE = 8
-"""A GPU holds the matrix twice, its reduced form, and blocks of products as well as the result."""
+"""A GPU stores the matrix twice, its reduced form, blocks of products, and the result."""
 MATRIX_FROM = 16
-"""Frames from which the matrix is cheaper: it takes as long as 10 to 15 frames, docs/bench/frames.md."""
+"""Number of frames from which the matrix is faster; it takes as long as 10 to 15 frames (docs/bench/frames.md)."""
 
 
 Weights = tuple[float, float, float]
-"""Of the ARP's law, see `palmfield.acoustics.arp.law_weights`."""
+"""Weights of an ARP law, see `palmfield.acoustics.arp.law_weights`."""
 
 
 class Transfer:
     """Transfer matrix from all transducers to fixed points: pressure, and gradient along the surface and its normal.
 
-    evaluator: array, air, absorption and device, of mode "fast": the matrix is computed in float32.
+    evaluator: array, air, absorption and device, in mode "fast", since the matrix is computed in float32.
     points: [m], array frame, shape (n, 3). normals: unit outward, shape (n, 3), of opaque surfaces, see `arp_frames`.
     It takes 32 bytes per transducer and point. Raises PalmfieldError for an evaluator of mode "accurate", for bad
     points or normals, for points too far apart (see CUBIC_REACH_Np), and for more than `memory_limit`.
@@ -76,7 +76,7 @@ class Transfer:
         self._rooms: list[_Room] = []
 
     def _compute(self, points: Float32, normals: Float32) -> Float32:
-        """Pressure and gradient over k, real parts first, shape (transducers, 8, points)."""
+        """Return pressure and gradient over k, real parts first, shape (transducers, 8, points)."""
         evaluator, array = self.evaluator, self.evaluator.array
         result = np.zeros((len(array), 8, len(points)), np.float32)
         if result.size == 0:
@@ -110,21 +110,21 @@ class Transfer:
         return result
 
     def pressure(self, drives: ArrayLike) -> NDArray[np.complex64]:
-        """Complex peak pressure [Pa], shape (frames, points), for drives of shape (frames, transducers)."""
+        """Return complex peak pressures [Pa], shape (frames, points), for drives of shape (frames, transducers)."""
         left, basis = self.reduced(drives)
         right = self._matrix[:, 0] + 1j * self._matrix[:, 4]
         return np.asarray(left @ (right if basis is None else basis.conj().T @ right), np.complex64)
 
     def arp(self, drives: ArrayLike, law: str | ArpLaw = "default", out: Float32 | None = None) -> Float32:
-        """ARP [Pa], shape (frames, points), for drives of shape (frames, transducers); see `palmfield.acoustics.arp`.
+        """Return the ARP [Pa], (frames, points), for drives (frames, transducers); see `palmfield.acoustics.arp`.
 
-        out: array to fill and return, float32; memory used before has no new pages for the system to clear.
+        out: array to fill and return, float32; reuse is faster, because the system need not clear new pages.
         Raises SceneError for an unknown law, PalmfieldError for drives that are not finite or of another shape, and for
         an `out` of another shape or type.
         """
         weights = law_weights(law, self.evaluator.air)
-        # One BLAS thread in each of ours: more would split products that fit one core's cache. With other programs
-        # running, waiting BLAS threads made the reduction up to twenty times slower
+        # One BLAS thread per thread, because more would split products that fit the cache of a core. With other
+        # programs running, waiting BLAS threads made the reduction up to twenty times slower
         with one_blas_thread:
             left, basis = self.reduced(drives)
             result = np.empty((len(left), self.points), np.float32) if out is None else out
@@ -140,9 +140,9 @@ class Transfer:
     def _fill(
         self, result: Float32, left: NDArray[np.complex64], basis: NDArray[np.complex64] | None, weights: Weights
     ) -> None:
-        """Write the ARP of frames with coordinates `left` in `basis`, blocks of points shared among the threads.
+        """Write the ARP of frames with coordinates `left` in `basis`, with blocks of points divided among threads.
 
-        weights: of the law, see `palmfield.acoustics.arp.law_weights`
+        weights: weights of the law, see `palmfield.acoustics.arp.law_weights`
         """
         chunks: list[tuple[slice, Float32]] = []
         for start in range(0, len(left), FRAMES_A_BLOCK):
@@ -161,7 +161,7 @@ class Transfer:
                 room = _Room()
             for chunk, rows in chunks:
                 for k in range(8):
-                    # BLAS accepts separate rows: no copy is made
+                    # BLAS accepts rows with a stride, so no copy is made
                     np.matmul(rows, matrix[:, k], out=room.products.host[k, : len(rows), :width])
                 count = len(rows) // 2
                 launch = room.launches.get((count, width, weights)) or room.record(count, width, weights)
@@ -173,7 +173,7 @@ class Transfer:
         share(blocks, self.evaluator.threads)
 
     def _make_rooms(self, frames: int, weights: Weights) -> None:
-        """Work arrays for all threads, with their launches: which thread comes to need them first is chance."""
+        """Make work arrays and launches for all threads beforehand."""
         blocks = -(-self.points // POINTS_A_BLOCK)
         while len(self._rooms) < min(self.evaluator.threads, blocks):
             self._rooms.append(_Room())
@@ -184,7 +184,7 @@ class Transfer:
                         room.record(count, width, weights)
 
     def arp_on_gpu(self, drives: ArrayLike, law: str | ArpLaw = "default") -> Any:
-        """As `arp`, but computed and left on the GPU of the evaluator: a Warp array of shape (frames, points)."""
+        """Return the result of `arp` on the GPU of the evaluator, as a Warp array of shape (frames, points)."""
         weights = wp.vec3(*law_weights(law, self.evaluator.air))
         left, basis = self.reduced(drives)
         device = self.evaluator.device
@@ -203,7 +203,7 @@ class Transfer:
         return result
 
     def _gpu_matrix(self, basis: NDArray[np.complex64] | None) -> Any:
-        """Real form of the matrix: (real, imaginary) rows of the drive -> four real and four imaginary blocks."""
+        """Return the real form of the matrix, see `real_form`, in `basis` if it is not None, on the GPU."""
         device = self.evaluator.device
         if self._on_gpu is None:
             self._on_gpu = wp.array(real_form(self._matrix), dtype=wp.float32, device=device)
@@ -216,10 +216,10 @@ class Transfer:
         return reduced
 
     def reduced(self, drives: ArrayLike) -> tuple[NDArray[np.complex64], NDArray[np.complex64] | None]:
-        """The frames, or their coordinates in a smaller orthonormal basis, shape (transducers, r), if that saves work.
+        """Return the frames and None, or their coordinates in an orthonormal basis, and the basis, (transducers, r).
 
-        The second is that basis, or None. drives: shape (frames, transducers), as for `arp`.
-        Foci along a path span few dimensions: neighbouring frames are nearly alike.
+        A basis is used if it saves work: foci along a path span few dimensions, since neighbouring frames are similar.
+        drives: shape (frames, transducers), as for `arp`.
         """
         frames = check.frames(drives, self.evaluator.array)
         if self.evaluator.array.gain is not None:
@@ -234,7 +234,7 @@ class Transfer:
 class _Room:
     """Work arrays of one thread: products of a block, and their ARP.
 
-    launches: by numbers of frames and points, and the law's weights
+    launches: by numbers of frames and points, and weights of the law
     """
 
     def __init__(self) -> None:
@@ -243,18 +243,18 @@ class _Room:
         self.launches: dict[tuple[int, int, Weights], Callable[[], object]] = {}
 
     def record(self, count: int, width: int, weights: Weights) -> Callable[[], object]:
-        """The launch that computes ARP from the products of a block."""
+        """Return the launch that computes the ARP from the products of a block."""
         inputs = [self.products.array, count, width, wp.vec3(*weights), 0, 0, self.arp.array]
         launch = self.launches[count, width, weights] = recorded(kernels.arp_rows, count, inputs, "cpu")
         return launch
 
 
 def span(frames: Complex) -> tuple[Complex, Complex] | None:
-    """Coordinates C and orthonormal basis V, shape (transducers, r), with frames = C V^H.
+    """Return coordinates C and an orthonormal basis V, shape (transducers, r), with frames = C V^H.
 
-    Every frame loses DROPPED of its own norm at most, even if it is quiet against the others. None where r isn't well
-    below the number of transducers. The basis comes from few frames, each divided by its norm: some at random, then
-    those that the basis of the others represents worst.
+    Every frame, also a quiet one, loses at most the share DROPPED of its norm. The result is None if r is not well
+    below the number of transducers. The basis is computed from few normalised frames: some are random, and others are
+    those with the largest error in the present basis.
     """
     elements = frames.shape[1]
     energy = squares(frames)
@@ -283,13 +283,13 @@ def span(frames: Complex) -> tuple[Complex, Complex] | None:
 
 
 def squares(frames: Complex) -> Float:
-    """Sum of |a|^2 of each row; the rows must be contiguous."""
+    """Return the sum of |a|^2 of each row; the rows must be contiguous."""
     parts = frames.view(float)
     return np.einsum("ij,ij->i", parts, parts)
 
 
 def in_basis(matrix: Float32, basis: NDArray[np.complex64]) -> Float32:
-    """The rows of V^H times the matrix, in its own form, shape (r, 8, n); basis: V, see Transfer.reduced."""
+    """Return V^H times the matrix, in the form of the matrix, shape (r, 8, n); basis: V, see Transfer.reduced."""
     back = basis.conj().T
     real, imag = (matrix[:, half].reshape(len(matrix), -1) for half in (slice(0, 4), slice(4, 8)))
     parts = [back.real @ real - back.imag @ imag, back.real @ imag + back.imag @ real]
@@ -297,27 +297,27 @@ def in_basis(matrix: Float32, basis: NDArray[np.complex64]) -> Float32:
 
 
 def real_form(matrix: Float32) -> Float32:
-    """Matrix from (real, imaginary) parts of a drive to eight blocks of points, shape (2 transducers, 8 n).
+    """Return the matrix from (real, imaginary) parts of a drive to eight blocks of points, (2 transducers, 8 n).
 
-    matrix: as Transfer keeps it, shape (transducers, 8, n)
+    matrix: as in Transfer, shape (transducers, 8, n)
     """
     real, imag = (matrix[:, half].reshape(len(matrix), -1) for half in (slice(0, 4), slice(4, 8)))
     return np.block([[real, imag], [-imag, real]])
 
 
 def matrix_bytes(elements: int, points: int) -> int:
-    """Memory of a transfer matrix [bytes]."""
+    """Return the memory of a transfer matrix [bytes]."""
     return 32 * elements * points
 
 
 def memory_limit(device: str) -> int:
-    """Most bytes for a matrix now: half of the memory that is free, a GPU_SHARE-th on a GPU, at most BYTES_LIMIT."""
+    """Return the memory limit of a matrix [bytes]: half the free memory (GPU: 1/GPU_SHARE), at most BYTES_LIMIT."""
     limit = min(BYTES_LIMIT, available_bytes() // 2)
     return limit if device == "cpu" else min(limit, wp.get_device(device).free_memory // GPU_SHARE)
 
 
 def too_steep(evaluator: FieldEvaluator, points: NDArray[np.floating]) -> bool:
-    """Whether absorption over the range of distances is too large for the cubic of the matrix."""
+    """Return whether absorption over the range of distances is too large for the cubic of the matrix."""
     low, high = distances(points, evaluator.array.positions)
     return evaluator.absorption_Np_m * (high - low) > CUBIC_REACH_Np
 
@@ -325,14 +325,14 @@ def too_steep(evaluator: FieldEvaluator, points: NDArray[np.floating]) -> bool:
 def arp_frames(
     evaluator: FieldEvaluator, points: ArrayLike, normals: ArrayLike, drives: ArrayLike, law: str | ArpLaw = "default"
 ) -> Float32:
-    """ARP [Pa] of many drive frames on the same points, shape (frames, points), by the cheaper way.
+    """Return the ARP [Pa] of many drive frames at the same points, shape (frames, points), by the faster method.
 
-    From MATRIX_FROM frames on a transfer matrix, in blocks of points if all of them would take more than
-    `memory_limit`. Fewer frames, mode "accurate" and points too far apart for the matrix are computed frame by frame.
+    From MATRIX_FROM frames on this is a transfer matrix, in blocks of points limited by `memory_limit`. Fewer frames,
+    mode "accurate" and points too far apart for the matrix are computed frame by frame.
 
-    evaluator: array, air, absorption, mode and device; on a GPU the products are computed there.
-    points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3), of opaque surfaces: sound from
-        behind them is left out; drives: complex amplitudes, shape (frames, transducers).
+    evaluator: array, air, absorption, mode, and device of the products.
+    points: [m], array frame, shape (n, 3); normals: unit outward normals of opaque surfaces, shape (n, 3); sound from
+        behind the surface is omitted; drives: complex amplitudes, shape (frames, transducers).
     Raises the errors of `palmfield.acoustics.arp.arp` and FieldEvaluator.
     """
     law = law_named(law)

@@ -1,4 +1,4 @@
-"""Limits of the linear far-field model of the sound, with warnings in words."""
+"""Limits of the linear far-field model of the sound, with warnings as text."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,26 +13,26 @@ from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Complex, Float
 
 FAR_FIELD_ERROR = 0.01
-"""Error of the amplitude of one transducer above which `warnings` gives a line."""
+"""Error of the amplitude of one transducer above which `warnings` reports it."""
 
 ARP_LOSS = 0.01
-"""Share of the ARP behind a shock from which `warnings` speaks."""
+"""Share of the ARP lost in a shock above which `warnings` reports it."""
 
 SATURATION_Pa = 500.0
 """Radiation pressure at which focused devices saturate, about 50 mN/cm2."""
 
 
 class PalmfieldWarning(UserWarning):
-    """The model is used where it does not hold."""
+    """The model is used outside its limits of validity."""
 
 
 def far_field_m(array: Array, error: float = FAR_FIELD_ERROR) -> float:
-    """Distance [m] beyond which the far-field directivity gives the amplitude of a transducer within a relative error.
+    """Return the distance [m] beyond which the relative error of the far-field amplitude of a transducer is below
+    `error`: b sqrt(near/error), with `near` of the directivity, 0.45.
 
-    It is b sqrt(near/error), with `near` of the array's form, 0.45. The phase error is then k b^2/(4 distance) on the
-    axis and up to 1.4 times that off it, in radians; most of it is common to all transducers and moves no focus.
-
-    Raises PalmfieldError for an error above 0.1, where the fall with the square of the distance ends.
+    The phase error is then k b^2/(4 distance) [rad] on the axis and up to 1.4 times this off the axis; most of it is
+    common to all transducers and does not move a focus. Raises PalmfieldError for an error above 0.1, where the error
+    no longer falls with the square of the distance.
     """
     if not 0.0 < error <= 0.1:
         raise PalmfieldError(f"error = {error:g} of the far-field approximation; allowed: above 0, at most 0.1")
@@ -40,19 +40,19 @@ def far_field_m(array: Array, error: float = FAR_FIELD_ERROR) -> float:
 
 
 def radiation_pressure_Pa(pressure_Pa: float, air: Air) -> float:
-    """ARP [Pa] of a plane wave of this peak pressure on skin at normal incidence, |p|^2/(rho c^2)."""
+    """Return the ARP [Pa] of a plane wave of this peak pressure at normal incidence on skin, |p|^2/(rho c^2)."""
     return abs(pressure_Pa) ** 2 / (density(air) * sound_speed(air) ** 2)
 
 
 def warnings(
     array: Array, points: ArrayLike, pressure: ArrayLike, air: Air, beam: tuple[Complex, Float] | None = None
 ) -> list[str]:
-    """Errors of a linear far-field model for this sound, one line each; empty where it holds.
+    """Return the warnings on errors of the linear far-field model for this sound, one line each.
 
-    points: [m], array frame, shape (n, 3), or one, for example the focus, shape (3,).
+    points: [m], array frame, shape (n, 3), or one point, for example the focus, shape (3,).
     pressure: peak pressure at the points, complex or magnitude [Pa], shape (n,), or one number.
-    beam: its drive, complex amplitudes, shape (len(array),), and its focus, shape (3,), which may be elsewhere; by
-        default one that is focused at the loudest point.
+    beam: drive, complex amplitudes, shape (len(array),), and focus, shape (3,), of the beam; default: focused at the
+        loudest point.
     Raises PalmfieldError for points or pressures that are not finite or don't match, SceneError for bad air or array.
     """
     check.array(array)
@@ -74,7 +74,7 @@ def warnings(
 def _too_near(array: Array, points: np.ndarray) -> list[str]:
     limit = far_field_m(array)
     gaps = np.maximum(array.positions.min(axis=0) - points, points - array.positions.max(axis=0))
-    close = points[(gaps < limit).all(axis=1)]  # few of many: the tree takes longer than the field itself
+    close = points[(gaps < limit).all(axis=1)]  # preselected, because the tree takes longer than the field
     if len(close) == 0:
         return []
     distance = float(KDTree(array.positions).query(close)[0].min())
@@ -93,7 +93,7 @@ def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, beam: tupl
         sigma = beam_steepening(array, *beam, air, until=point)
     else:
         sigma = steepening([peak, peak], float(distance.mean()), air, array.frequency_Hz)
-        if sigma > 1.0:  # as loud all the way: a focused beam steepens less
+        if sigma > 1.0:  # upper bound with constant pressure; a focused beam steepens less
             wavenumber = check.angular_frequency(array.frequency_Hz) / sound_speed(air)
             focused = np.exp(-1j * wavenumber * distance)
             loud = float(np.abs(pressure64(point[None], array, focused, air)[0][0]))
@@ -127,10 +127,10 @@ def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, beam: tupl
 
 
 def least_radius_m(points: Float, at: Float, reach_m: float) -> float | None:
-    """Least radius of curvature [m] of a surface near a point: of the paraboloid through its points; inf if it is flat.
+    """Return the smallest radius of curvature [m] of a surface near a point, by a paraboloid fit; inf if it is flat.
 
-    points: of the surface [m], shape (n, 3). at: shape (3,). reach_m: distance round the surface's nearest point.
-    None if that point is further away than twice this distance, and for fewer than six points within it.
+    points: points of the surface [m], shape (n, 3). at: shape (3,). reach_m: radius of the fit about the nearest point.
+    The result is None if the nearest point is farther than twice this radius, or the fit has fewer than six points.
     """
     distance = np.linalg.norm(points - at, axis=1)
     nearest = points[int(np.argmin(distance))]

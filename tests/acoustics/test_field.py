@@ -22,7 +22,7 @@ from palmfield.acoustics.directivities import FORMS
 from palmfield.acoustics.directivities.t4010a1 import T4010A1_DIRECTIVITY
 from palmfield.acoustics.field import (
     MODES,
-    SIZES_KEPT,
+    SIZES_STORED,
     CUBIC_REACH_Np,
     FieldEvaluator,
     Mode,
@@ -404,6 +404,6 @@ def test_corners_of_points(shape: tuple[int, int]) -> None:
 
 def test_many_sizes_of_small_calls_keep_few_buffers() -> None:
     evaluator = FieldEvaluator(layout("uhev1"), AIR, "cpu")
-    for count in range(1, 4 * SIZES_KEPT):
+    for count in range(1, 4 * SIZES_STORED):
         evaluator.pressure(np.full((count, 3), 0.1), np.ones(256))
-    assert len(evaluator._calls) <= SIZES_KEPT
+    assert len(evaluator._calls) <= SIZES_STORED

@@ -1,4 +1,4 @@
-"""Amplitude of transducers off their axes. Each file here is a form, its `FORM`; its name is that of the file."""
+"""Amplitude of transducers off their axes. Each file here defines one form as `FORM`, with the name of the file."""
 
 from functools import lru_cache
 from importlib import import_module
@@ -18,7 +18,7 @@ FORMS: dict[str, Directivity] = {
 
 
 def form_of(array: Array) -> Directivity:
-    """The form of the array: its table, if it has one, else the one that it names. SceneError for an unknown name."""
+    """Return the form of the array: its table or its named form. Raises SceneError for an unknown name."""
     if array.directivity_table is not None:
         return _measured(np.asarray(array.directivity_table, float).tobytes())
     refuse_unknown(SceneError, f"array '{array.name}' has directivity {{}}", array.directivity, FORMS)
@@ -26,11 +26,11 @@ def form_of(array: Array) -> Directivity:
 
 
 def directivity_coefficients(array: Array, wavenumber: float) -> tuple[Float, Float]:
-    """Directivity of the transducers as a quintic in s = sin^2(angle off the axis), and its derivative in s.
+    """Return the directivity as a quintic in s = sin^2(angle off the axis), and its derivative in s.
 
     wavenumber: 2 pi f/c [rad/m].
     Returns coefficients, lowest power first, of shapes (6,) and (5,), the input of all field kernels.
-    Raises SceneError for a form that a quintic does not follow.
+    Raises SceneError for a form that a quintic cannot approximate.
     """
     quintic = form_of(array).polynomial(wavenumber * array.piston_radius_m)
     return quintic, quintic[1:] * np.arange(1, 6)

@@ -1,4 +1,4 @@
-"""A baffled piston: 2 J1(x)/x, x = k b sin(angle)."""
+"""Baffled piston: 2 J1(x)/x, x = k b sin(angle)."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A point source in the baffle, as loud in all directions."""
+"""Point source in the baffle, with the same amplitude in all directions."""
 
 from dataclasses import replace
 

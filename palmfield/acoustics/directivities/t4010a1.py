@@ -10,7 +10,7 @@ T4010A1_DIRECTIVITY: Float = np.column_stack(
 )
 """Angle [deg] and relative amplitude, shape (10, 2).
 
-0, 0, 0, -1, -3, -6, -9, -12, -14 and -15 dB from 0 to 90 deg: the diagram of the maker as read by the AUTD3 software.
+0, 0, 0, -1, -3, -6, -9, -12, -14 and -15 dB from 0 to 90 deg: diagram of the manufacturer, as in the AUTD3 software.
 """
 
 FORM = Measured("t4010a1", T4010A1_DIRECTIVITY)
