@@ -1,5 +1,6 @@
 """Data written by a running simulation: blocks of arrays, each of one or more MuJoCo steps, for a store."""
 
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, Protocol
@@ -34,8 +35,8 @@ Block = dict[str, dict[str, NDArray[Any]]]
 
 TOGETHER = 64
 """Largest number of MuJoCo steps whose data are computed together."""
-WAITING_BYTES = 8_000_000
-"""Largest size of the motion of the skins in them."""
+WAITING_BYTES, WAITING_s = 8_000_000, 2.0
+"""Largest size of the motion of the skins in them, and longest time that they wait: a killed process loses them."""
 ROWS = 64
 """Number of substeps whose motion is computed in one product."""
 FEW = 112
@@ -127,7 +128,7 @@ class Recorder:
         # The next tick changes held points, with which waiting steps are computed
         self._together = 1 if runtime.work.emission.holds else together
         self._waiting: list[Recorded] = []
-        self._waiting_bytes = 0
+        self._waiting_bytes, self._written_at = 0, time.monotonic()
         self.begun_s = 0.0
         self._sensors = [
             (sensor.name, sensor.data) for skin in runtime.binding.skins for sensor in world.sensors(skin.instance)
@@ -184,7 +185,8 @@ class Recorder:
             step[group("sensors", name)] = {"value": data[None].copy()}
         self._waiting.append(Recorded(trace.times, posed, emitted, motions, self._pressed(posed), step))
         self._waiting_bytes += sum(24 * len(trace.times) * len(skin.nodes[0]) for skin in self.model.skins)
-        if len(self._waiting) >= self._together or self._waiting_bytes >= WAITING_BYTES:
+        late = time.monotonic() - self._written_at > WAITING_s
+        if late or len(self._waiting) >= self._together or self._waiting_bytes >= WAITING_BYTES:
             self._write()
 
     def _pressed(self, posed: PosedScene) -> "list[tuple[Int, Float] | None]":
@@ -201,7 +203,7 @@ class Recorder:
 
     def _write(self) -> None:
         """Write the waiting steps in one block."""
-        steps, self._waiting, self._waiting_bytes = self._waiting, [], 0
+        steps, self._waiting, self._waiting_bytes, self._written_at = self._waiting, [], 0, time.monotonic()
         if not steps:
             return
         blocks, begin = [one.step for one in steps], 0
