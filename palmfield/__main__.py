@@ -1,4 +1,4 @@
-"""Run the command line by `python -m palmfield`."""
+"""`python -m palmfield` is the command line."""
 
 from palmfield.cli.app import start
 

@@ -72,7 +72,7 @@ def record(
                 time.sleep(duration)
         except KeyboardInterrupt:
             pass
-        for line in (listener.report(), *listener.told):
+        for line in (listener.report(), *listener.reported):
             print(line)
         if listener.taken < 2:
             raise SceneError(

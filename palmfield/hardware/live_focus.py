@@ -100,7 +100,9 @@ def play_live(
         )
     if silent and not silent.startswith("no frame"):
         said.append(f"the board was silenced: {silent}")
-    return Performance(done, report.warning if made.sound.am_frequency_Hz > 0.0 else "").saying(*said, *listener.told)
+    return Performance(done, report.warning if made.sound.am_frequency_Hz > 0.0 else "").saying(
+        *said, *listener.reported
+    )
 
 
 class _Live:

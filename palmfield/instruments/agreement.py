@@ -1,4 +1,4 @@
-"""Agreement of a measured and a computed record, point by point: gain, delay, difference, coherence."""
+"""Agreement of a measured and a computed record at each point: gain, delay, difference, coherence."""
 
 import math
 from typing import NamedTuple
@@ -13,21 +13,21 @@ from palmfield.metrics.checks import above_zero, even_step, finite, trace
 from palmfield.types import Float
 
 AMBIGUOUS = 0.98
-"""Another delay whose correlation reaches this share of the best is reported as an ambiguity."""
+"""Smallest correlation, as a share of the best, for which another delay makes the result ambiguous."""
 SEGMENTS = 8
-"""Number of half overlapping Hann windows for a coherence; of noise alone it is about 1/5 then."""
+"""Number of half-overlapping Hann windows for a coherence; that of noise is then about 1/5."""
 FEWEST = 16
-"""Least number of samples of such a window."""
+"""Smallest number of samples of such a window."""
 
 
 class Agreement(NamedTuple):
-    """Measured against computed, each of shape (n,).
+    """Comparison of measured and computed records, each of shape (n,).
 
-    gain: measured over computed amplitude, by least squares after the others are removed; negative: inverted
-    delay_s: of the measured record; ambiguous: another delay fits nearly as well
-    l2: of measured - computed, over that of the measured record; l2_shape: the same with all others removed
+    gain: measured over computed amplitude, by least squares without delay, offset and drift; negative: inverted
+    delay_s: delay of the measured record; ambiguous: whether another delay fits nearly as well
+    l2: norm of measured - computed over that of measured; l2_shape: l2 without gain, delay, offset and drift
     coherence: share of the measured power that is linear in the computed record, weighted by that power
-    offset: mean of the line that is fitted with gain and delay, in the records' unit; drift: its rise over the record
+    offset: mean of the line fitted with gain and delay, in the unit of the records; drift: rise of the line
     level: rms of the measured record over that of the loudest point
     """
 
@@ -45,8 +45,8 @@ class Agreement(NamedTuple):
 def agreement(times_s: ArrayLike, measured: ArrayLike, computed: ArrayLike, *, most_delay_s: float) -> Agreement:
     """Compare two records of the same points at the same, evenly spaced times, both of shape (t, n).
 
-    most_delay_s: delays are searched within plus and minus this [s]
-    Raises MeasurementError for other shapes, records too short for a coherence, and a point that has no motion in one.
+    most_delay_s: largest absolute delay in the search [s]
+    Raises MeasurementError for other shapes, records too short for a coherence, and points without motion.
     """
     times, theirs = trace(times_s, measured, 2 * FEWEST)
     ours = np.asarray(computed, dtype=float)
@@ -61,7 +61,7 @@ def agreement(times_s: ArrayLike, measured: ArrayLike, computed: ArrayLike, *, m
     step = even_step(times)
     delay, ambiguous = delays(_without_line(theirs), _without_line(ours), step, most_delay_s)
     late = shifted(ours, step, delay)
-    # Least squares of gain, offset and drift together: the gain is that of records without lines (Frisch and Waugh)
+    # Joint least squares of gain, offset and drift: the gain is that of records without lines (Frisch and Waugh)
     bare, moving = _without_line(theirs), _without_line(late)
     gain = (moving * bare).sum(axis=0) / np.maximum((moving * moving).sum(axis=0), np.finfo(float).tiny)
     line = theirs - gain * late - (bare - gain * moving)
@@ -74,12 +74,12 @@ def agreement(times_s: ArrayLike, measured: ArrayLike, computed: ArrayLike, *, m
 
 
 def _without_line(record: Float) -> Float:
-    """Return records, shape (t, n), without the straight line that fits each best."""
+    """Return records, shape (t, n), without their best-fit straight lines."""
     return np.asarray(detrend(record, axis=0))
 
 
 def delays(measured: Float, computed: Float, step: float, most_s: float) -> tuple[Float, Float]:
-    """Delay of the highest correlation in magnitude [s], between samples by a parabola; whether another nearly fits."""
+    """Return the delay of the largest absolute correlation [s], by a parabola, and whether it is ambiguous."""
     length = next_fast_len(2 * len(measured))
     product = rfft(measured, length, axis=0) * rfft(computed, length, axis=0).conj()
     reach = min(math.ceil(most_s / step), len(measured) - 2)
@@ -100,16 +100,16 @@ def delays(measured: Float, computed: Float, step: float, most_s: float) -> tupl
 
 
 def shifted(record: Float, step: float, delay_s: Float) -> Float:
-    """Delay a record, shape (n,), between samples by its spectrum; values entering at its ends are 0."""
+    """Delay a record, shape (n,), by any time, with its spectrum; values that enter at the ends are 0."""
     length = next_fast_len(2 * len(record))
     turn = np.exp(-2j * np.pi * rfftfreq(length, step)[:, None] * delay_s)
     return np.asarray(irfft(rfft(record, length, axis=0) * turn, length, axis=0)[: len(record)])
 
 
 def coherence(measured: Float, computed: Float, rate_Hz: float) -> Float:
-    """Mean of the magnitude-squared coherence, weighted by the measured power, shape (n,).
+    """Return the mean magnitude-squared coherence, weighted by the measured power, shape (n,).
 
-    Welch's method, SEGMENTS Hann windows, half overlapping. Raises MeasurementError for records too short for them.
+    Welch's method with SEGMENTS half-overlapping Hann windows. Raises MeasurementError for records that are too short.
     """
     window = 2 * len(measured) // (SEGMENTS + 1)
     if window < FEWEST:

@@ -1,4 +1,4 @@
-"""A laser displacement meter, by triangulation: it reads the distance of the surface along its beam."""
+"""Laser displacement meter (triangulation), which measures the distance of the surface along its beam."""
 
 import math
 from typing import ClassVar
@@ -15,7 +15,7 @@ from palmfield.instruments.signal_chain import sampled
 from palmfield.instruments.surface_motion import SurfaceMotion
 
 NEAR_M = 1e-3
-"""Largest distance of a beam without a width from a point of the motion, unless points are farther apart."""
+"""Largest distance of a beam of zero width from a point of the motion, unless points are farther apart."""
 
 
 class DisplacementMeter(Settings):
@@ -34,11 +34,11 @@ class DisplacementMeter(Settings):
 
 
 def spot_weights(points_m: ArrayLike, at_m: ArrayLike, settings: DisplacementMeter) -> np.ndarray:
-    """Weights of points about a place in the spot's mean, shape (n,): a Gaussian of the light's intensity.
+    """Return the weights of points in the mean over the spot, shape (n,): the Gaussian intensity of the light.
 
-    The points represent equal areas. Without a spot only the nearest point counts.
-    Raises MeasurementError if less than four points are within the spot, and without a spot if none is nearer than
-    their spacing, or NEAR_M.
+    The points represent equal areas. A spot of size 0 uses the nearest point.
+    Raises MeasurementError if fewer than four points are within the spot, and for size 0 if no point is nearer than
+    their spacing or NEAR_M.
     """
     points, at = np.asarray(points_m, dtype=float), np.asarray(at_m, dtype=float)
     if at.shape != (3,) or not np.isfinite(at).all():
@@ -67,12 +67,12 @@ def spot_weights(points_m: ArrayLike, at_m: ArrayLike, settings: DisplacementMet
 def displacement_reading(
     motion: SurfaceMotion, at_m: ArrayLike, settings: DisplacementMeter, *, seed: int | None = None
 ) -> xr.DataArray:
-    """What the meter shows of the surface at a place [m] over time, dimension (time,), in metres, towards the head.
+    """Return the reading at a point over time, dimension (time,), in metres, positive towards the head.
 
-    Where the surface moves along itself and the beam is not along its normal, the beam meets another point of it: the
-    reading is (u . n)/(b . n) for motion u, normal n and beam b, and not u . b, which a vibrometer reads.
-    In this order: mean over the spot, sampling, mean of the last readings, noise, range, resolution.
-    Raises MeasurementError for a beam of no length or along the surface, and as `spot_weights`.
+    The beam is fixed in space, so with tangential motion or an oblique beam it meets other points of the surface. The
+    reading is (u . n)/(b . n) for motion u, normal n and beam b; a vibrometer reads u . b.
+    Order of operations: mean over the spot, sampling, moving average, noise, range, resolution.
+    Raises MeasurementError for a beam of length 0 or along the surface, and as `spot_weights`.
     """
     beam = np.array(settings.beam)
     if not np.linalg.norm(beam) > 0.0:
@@ -87,8 +87,8 @@ def displacement_reading(
     times = np.arange(math.floor((motion.times_s[-1] - motion.times_s[0]) * rate + 1e-6) + 1) / rate
     signal = sampled(motion.times_s, read @ weights[chosen], motion.times_s[0] + times)
     if settings.averaged > 1:
-        held = np.concatenate([np.full(settings.averaged - 1, signal[0]), signal])
-        signal = np.convolve(held, np.full(settings.averaged, 1.0 / settings.averaged), mode="valid")
+        padded = np.concatenate([np.full(settings.averaged - 1, signal[0]), signal])
+        signal = np.convolve(padded, np.full(settings.averaged, 1.0 / settings.averaged), mode="valid")
     signal = signal + np.random.default_rng(seed).normal(0.0, settings.repeatability_m, len(signal))
     if settings.range_m is not None:
         signal = np.clip(signal, -settings.range_m, settings.range_m)

@@ -1,4 +1,4 @@
-"""Measured force of radiation pressure: on a plate in the field (a jig), on a scale under a body.
+"""Measured force of radiation pressure on a plate in the field (a jig), or on a scale under a body.
 
 Pressures are acoustic radiation pressures (ARP) [Pa], positive into the plate.
 """
@@ -19,11 +19,11 @@ from palmfield.metrics.checks import even_step, finite, trace
 from palmfield.types import Float
 
 ArpAt = Callable[[Float, Float], Float]
-"""ARP [Pa] at places [m] with outward normals, both of shape (n, 3): shape (n,)."""
+"""Function that returns the ARP [Pa], shape (n,), at points [m] with outward normals, both of shape (n, 3)."""
 LEAST = 4
-"""Least number of places along an edge or a radius, so that half of them still give an error estimate."""
+"""Smallest number of points along an edge or a radius, so that half of them give an error estimate."""
 SPLITS = 8
-"""A triangle of a mesh is cut into the square of this number of parts; those with their middle on the plate count."""
+"""Parts per edge of a mesh triangle; the parts with their centre on the plate are used."""
 
 
 class Plate(Settings):
@@ -42,9 +42,9 @@ class Plate(Settings):
 
 
 class PlateForce(NamedTuple):
-    """Force into a plate, and the same from places with twice the spacing [N].
+    """Force into a plate [N], and the force from points with twice the spacing [N].
 
-    For a rule of second order a third of their difference is the error of the first.
+    For second-order quadrature, the error of the first is a third of their difference.
     """
 
     force_N: float
@@ -52,15 +52,15 @@ class PlateForce(NamedTuple):
 
     @property
     def change(self) -> float:
-        """Relative change of the force with twice the spacing of places."""
+        """Relative change of the force with twice the spacing of points."""
         return abs(self.force_N - self.coarser_N) / abs(self.force_N) if self.force_N else math.inf
 
 
 def plate_force(arp_at: ArpAt, plate: Plate) -> PlateForce:
-    """Area integral of the ARP over a plate.
+    """Integrate the ARP over a plate.
 
-    arp_at: for example `palmfield.acoustics.arp.arp` of a field; for a plate narrower than some wavelengths the law
-        ignores the effect of its edges on the sound.
+    arp_at: for example `palmfield.acoustics.arp.arp` of a field, which ignores the effect of the edges on the sound of
+        plates narrower than some wavelengths.
     """
     fine, coarse = (_integral(arp_at, plate, coarser) for coarser in (1, 2))
     return PlateForce(fine, coarse)
@@ -108,12 +108,12 @@ def _axes(plate: Plate) -> tuple[Float, Float, Float]:
 
 
 def mesh_force(arp: ArrayLike, vertices: ArrayLike, faces: ArrayLike, plate: Plate) -> Float:
-    """Force against the plate's normal on the part of a mesh before a plate [N], shape (...,).
+    """Return the force against the normal of a plate on the part of a mesh in front of it [N], shape (...,).
 
     arp: [Pa] at the vertices, shape (..., v), as `arp` of a skin in a result; vertices: [m], (v, 3); faces: (f, 3),
-    whose corners go round counter-clockwise as seen from outside
-    The ARP is linear between vertices; triangles are cut where the outline, seen along its normal, crosses them.
-    Pressure on faces that face away from the plate's normal, such as those of a finger's back, has the opposite sign.
+    counter-clockwise seen from outside
+    The ARP is linear between vertices; triangles are cut at the outline of the plate, seen along its normal.
+    Pressure on faces that face away from the normal, such as those of the back of a finger, has the opposite sign.
     """
     places, triangles = checked_mesh(vertices, faces)
     pressure, corners = np.asarray(arp, dtype=float), places[triangles]
@@ -135,7 +135,7 @@ def mesh_force(arp: ArrayLike, vertices: ArrayLike, faces: ArrayLike, plate: Pla
 
 
 def _cuts() -> Float:
-    """Barycentric coordinates of the middles of the equal parts of a triangle, shape (k, 3)."""
+    """Return the barycentric coordinates of the centres of equal parts of a triangle, shape (k, 3)."""
     low, high = [], []
     for i in range(SPLITS):
         for j in range(SPLITS - i):
@@ -159,9 +159,9 @@ class Scale(Settings):
 
 
 def scale_reading(times_s: ArrayLike, force_N: ArrayLike, settings: Scale) -> Float:
-    """Reading of a scale for a force over time, shape (t, 3), as `force` of /forces in a result: shape (t,) [N].
+    """Return the reading of a scale over time [N], shape (t,), for a force, shape (t, 3), as in /forces of a result.
 
-    The pole is exact for a force that is linear between samples. Raises MeasurementError for a direction of no length.
+    The pole is exact for a force that is linear between samples. Raises MeasurementError for a direction of length 0.
     """
     times, force = trace(times_s, force_N)
     direction = np.array(settings.direction)

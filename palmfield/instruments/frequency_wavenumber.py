@@ -1,4 +1,4 @@
-"""The spectrum of a scan over frequency and wavenumber along its surface."""
+"""Spectrum of a scan over frequency and wavenumber along the surface."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ MOST_LINES = 240
 
 
 class FrequencyWavenumber(NamedTuple):
-    """Amplitude over frequency [Hz], (f,), and wavenumber [rad/m], (k,), rms over all directions: shape (f, k)."""
+    """Amplitude (rms over all directions), shape (f, k), over frequency [Hz], (f,), and wavenumber [rad/m], (k,)."""
 
     frequency_Hz: Float
     wavenumber_rad_m: Float
@@ -25,7 +25,7 @@ class FrequencyWavenumber(NamedTuple):
 
 
 def on_plane(points_m: ArrayLike) -> Float:
-    """Project points to their best plane, about their middle [m], shape (n, 2)."""
+    """Project points to their best plane, relative to their centre [m], shape (n, 2)."""
     points = np.asarray(points_m, dtype=float)
     centred = points - points.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=False)[2]
@@ -35,10 +35,10 @@ def on_plane(points_m: ArrayLike) -> Float:
 def frequency_wavenumber(
     times_s: ArrayLike, values: ArrayLike, points_m: ArrayLike, *, most_Hz: float | None = None
 ) -> FrequencyWavenumber:
-    """Spectrum of records of shape (t, n) at points of shape (n, 3), which are projected to a plane first.
+    """Return the spectrum of records, shape (t, n), at points, shape (n, 3), projected to a plane.
 
-    most_Hz: highest frequency; None: that below which 99.9 % of the power lies
-    Hann window over time. Wavenumbers end at pi over the points' pitch, where aliasing of a grid begins.
+    most_Hz: highest frequency; None: frequency with 99.9 % of the power below
+    A Hann window is applied over time. The largest wavenumber is pi/pitch, where aliasing of a grid begins.
     """
     times, signal = trace(times_s, values, 16)
     if signal.ndim != 2 or np.shape(points_m) != (signal.shape[1], 3):

@@ -1,7 +1,7 @@
-"""The complex wavenumber of the wave radiated by a small source, from a scan at one frequency, with its error.
+"""Complex wavenumber of the wave from a small source, with its error, from a scan at one frequency.
 
-Phasors go with e^{-i w t}, wavenumbers k = w/c + i/L. All waves of a layer are fitted together, as rings
-(`palmfield.instruments.ring_fit`): the guided one, those that decay near the source, and other travelling ones.
+Phasors are e^{-i w t}, wavenumbers k = w/c + i/L. All waves of a layer are fitted together as rings
+(`palmfield.instruments.ring_fit`): the guided wave, evanescent waves near the source, and other travelling waves.
 """
 
 import math
@@ -20,21 +20,21 @@ from palmfield.types import Complex, Float
 LEAST_WAVES = 2.0
 LEAST_POINTS_A_WAVE = 3.0
 SURE = 0.013
-"""A wavenumber is resolved if its stated error is below this: an error of 3 % is then more than twice as large."""
+"""Largest error of a resolved wavenumber."""
 TIED, NEXT = 10.0, 25.0
-"""Largest score difference from the best fit for other fits to count too, and for one with one more ring. A ring that
-fits noise alone raises the score by 22 to 30."""
+"""Largest score difference from the best fit for other fits, and for a fit with one more ring, to be considered. A ring
+that fits only noise raises the score by 22 to 30."""
 MOST_LOSS = 0.5
-"""Im k / Re k: beyond it a wave loses 96 % of itself in a wavelength, and only the rest distinguishes waves."""
+"""Largest Im k / Re k; beyond it a wave loses 96 % per wavelength, too much to distinguish waves."""
 LASTING, HEARD = 0.25, 0.05
-"""A ring that carries HEARD of the motion and whose Im k is below LASTING of the strongest's represents several similar
-waves that the fit cannot separate: the losses of one material are more similar."""
+"""A ring with a share of more than HEARD of the motion and an Im k below LASTING times that of the strongest ring
+represents several similar waves that the fit cannot separate, because the losses of one material differ less."""
 HIDES = 0.03
-"""And if a wave hidden in the noise could not change it by more than this, to first order and at worst."""
+"""Largest worst-case change of a resolved wavenumber by a wave hidden in the noise, to first order."""
 COUNTS = 0.2
-"""Other waves with at least this share of the strongest one's motion are reported too."""
+"""Other waves with at least this share of the motion of the strongest wave are reported."""
 ALIKE, LEFT = 0.35, 0.05
-"""The residual of the best fit is not noise if neighbours are this similar and it is this much of the motion."""
+"""The residual is not noise above this correlation of neighbours and above this share of the motion."""
 FEWEST = 24
 
 
@@ -42,10 +42,10 @@ FEWEST = 24
 class Wave:
     """One wave of a scan.
 
-    wavenumber_rad_m: k, Re k = w/c, Im k = 1/L, or None if it is not resolved; reason: why it is not, else empty
-    estimate_rad_m: k of the best fit, whether resolved or not
-    error: relative to |k|: the standard deviation by noise and the change by another number of waves
-    motion: ratio of the rms of this wave to that of the scan; waves: wavelengths in the width of the scan
+    wavenumber_rad_m: k, Re k = w/c, Im k = 1/L, or None if it is not resolved; reason: why not, or ""
+    estimate_rad_m: k of the best fit, also if it is not resolved
+    error: relative to |k|: standard deviation by noise, and change with another number of waves
+    motion: rms of this wave over that of the scan; waves: wavelengths in the width of the scan
     points_a_wave: points of the scan per wavelength
     """
 
@@ -62,9 +62,9 @@ class Wave:
 class GuidedMode(Wave):
     """The travelling wave with most of the motion outside the source.
 
-    others: other travelling waves with at least COUNTS of its motion, strongest first, each with its own error; if one
-        is nearly as strong neither is "the" guided mode
-    misfit: share of the motion left by the fit; rings: number of fitted waves; source_m: fitted source, (2,)
+    others: other travelling waves with at least COUNTS of its motion, strongest first, each with its error; if one is
+        nearly as strong, the guided mode is not unique
+    misfit: share of the motion in the residual; rings: number of fitted waves; source_m: fitted source, (2,)
     """
 
     others: tuple[Wave, ...]
@@ -74,7 +74,7 @@ class GuidedMode(Wave):
 
 
 def line_amplitudes(times_s: ArrayLike, values: ArrayLike, frequency_Hz: float, periods: int | None = None) -> Complex:
-    """Complex amplitudes of records (t, n) at one frequency, e^{-i w t}, shape (n,), over their last whole periods.
+    """Return the complex amplitudes of records (t, n) at one frequency, e^{-i w t}, (n,), over the last whole periods.
 
     Least squares with a constant, a slope and the line. Raises MeasurementError for a record without a period.
     """
@@ -101,12 +101,12 @@ def guided_mode_fit(
 ) -> GuidedMode:  # fmt: skip
     """Fit rings to complex amplitudes at points along a flat surface.
 
-    amplitudes: shape (n,), e^{-i w t}; points_m: [m], shape (n, 2) or (n, 3), of which x and y count
-    source_m: expected place of the source [m], (2,); it is fitted within `ring_fit.REACH_M`
-    source_radius_m: nearer points are left out; 1.5 times the spot's full width at half maximum leaves 0.2 % of its
-        pressure outside
-    sights: lines of sight, shape (n, 3), z along the normal; None: only the normal motion is measured. The number of
-    rings is the one with the least Bayesian information criterion.
+    amplitudes: shape (n,), e^{-i w t}; points_m: [m], shape (n, 2) or (n, 3), of which only x and y are used
+    source_m: expected position of the source [m], (2,), which is fitted within `ring_fit.REACH_M`
+    source_radius_m: nearer points are not used; beyond 1.5 times the full width at half maximum of a spot there is
+        0.2 % of its pressure
+    sights: lines of sight, shape (n, 3), z along the normal; None: only the normal motion is measured
+    The number of rings has the smallest Bayesian information criterion.
     Raises MeasurementError for other shapes, fewer than FEWEST points outside the source, and silence.
     """
     values, flat, along = _checked(amplitudes, points_m, source_m, source_radius_m, sights)
@@ -117,10 +117,10 @@ def guided_mode_fit(
     best = min(range(len(fits)), key=lambda n: fits[n].score)
     fit = fits[best]
     worse = [one.score - fit.score for one in fits]
-    beside = [one for n, one in enumerate(fits) if n != best and worse[n] < (NEXT if n == best + 1 else TIED)]
+    close = [one for n, one in enumerate(fits) if n != best and worse[n] < (NEXT if n == best + 1 else TIED)]
     order = sorted(range(len(fit.k)), key=lambda n: (fit.k[n].real <= fit.k[n].imag, -fit.motion[n]))
-    whole = _why_no_wave_is_told(fit, order[0], flat, best + 1 == len(fits))
-    waves = [_wave(scanned, fit, n, beside, width, spacing, whole) for n in order]
+    whole = _why_unresolved(fit, order[0], flat, best + 1 == len(fits))
+    waves = [_wave(scanned, fit, n, close, width, spacing, whole) for n in order]
     strongest = waves[0]
     others = tuple(
         one for one in waves[1:]
@@ -131,11 +131,11 @@ def guided_mode_fit(
 
 
 def _wave(
-    scanned: Scanned, fit: Rings, number: int, beside: list[Rings], width: float, spacing: float, whole: str
+    scanned: Scanned, fit: Rings, number: int, close: list[Rings], width: float, spacing: float, whole: str
 ) -> Wave:
-    """Convert one ring to a wave. whole: why no wave is reported, or ""."""
+    """Convert one ring to a wave. whole: reason why no wave is resolved, or ""."""
     k = complex(fit.k[number])
-    moved = max((float(np.abs(other.k - k).min()) / abs(k) for other in beside), default=0.0)
+    moved = max((float(np.abs(other.k - k).min()) / abs(k) for other in close), default=0.0)
     error = math.hypot(float(fit.deviation[number]), moved)
     waves, points = width * k.real / (2.0 * np.pi), 2.0 * np.pi / (max(k.real, 1e-9) * spacing)
     reason = whole
@@ -152,10 +152,10 @@ def _wave(
         reason = f"the wave decays by {lost:.3g} % per wavelength, so it cannot be separated from other waves"
     elif error > SURE:
         beyond = len(fit.k) - 1
-        beside_it = "" if beyond == 0 else f" next to {beyond} other wave{'s' if beyond > 1 else ''}"
+        neighbours = "" if beyond == 0 else f" next to {beyond} other wave{'s' if beyond > 1 else ''}"
         reason = (
             f"noise ({100 * fit.misfit:.2g} % of the motion) gives an uncertainty of +-{100 * error:.2g} "
-            f"%{beside_it}; allowed: {100 * SURE:.2g} %"
+            f"%{neighbours}; allowed: {100 * SURE:.2g} %"
         )
     if not reason:
         hidden = hidden_change(scanned, fit, number)
@@ -164,10 +164,10 @@ def _wave(
     return Wave(None if reason else k, reason, k, error, float(fit.motion[number]), waves, points)
 
 
-def _why_no_wave_is_told(fit: Rings, lead: int, flat: Float, last: bool) -> str:
-    """Return why a fit determines no wave, or "". lead: its strongest travelling ring; last: none has more rings"""
+def _why_unresolved(fit: Rings, lead: int, flat: Float, last: bool) -> str:
+    """Return why a fit resolves no wave, or "". lead: its strongest travelling ring; last: no fit has more rings"""
     if np.abs(fit.x[-2:]).max() > 0.98:
-        return f"the fitted source lies {1e3 * REACH_M:g} mm or more from the given source"
+        return f"the fitted source is {1e3 * REACH_M:g} mm or more from source_m"
     nearest = cKDTree(flat).query(flat, k=2)[1][:, 1]
     power = float(np.linalg.norm(fit.left) ** 2)
     alike = float((fit.left.conj() * fit.left[nearest]).sum().real) / max(power, 1e-300)
@@ -191,7 +191,7 @@ def _why_no_wave_is_told(fit: Rings, lead: int, flat: Float, last: bool) -> str:
 def _checked(
     amplitudes: ArrayLike, points_m: ArrayLike, source_m: ArrayLike, radius: float, sights: ArrayLike | None
 ) -> tuple[Complex, Float, Float | None]:
-    """Amplitudes over their rms, places about the source [m] and the beams' parts along the surface, outside of it."""
+    """Return amplitudes over their rms, points relative to the source [m] and tangential parts of beams, outside it."""
     values, points = np.asarray(amplitudes, dtype=complex), np.asarray(points_m, dtype=float)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or values.shape != (len(points),):
         raise MeasurementError(

@@ -1,6 +1,6 @@
-"""A dynamic mechanical analyser: a disc between two plates is compressed, and its modulus is measured.
+"""Dynamic mechanical analyser: a disc between two plates is compressed, and its modulus is measured.
 
-Plates that hold the faces of a disc make it stiffer than its material. The reading is an apparent modulus, which
+If the faces are bonded to the plates, a disc is stiffer than its material. The reading is an apparent modulus, which
 depends on the shape factor S, loaded area over free area, a/(2 h) for radius a and height h.
 """
 
@@ -27,18 +27,18 @@ class Analyser(Settings):
 
     @property
     def shape_factor(self) -> float:
-        """Loaded area over the free area of the side."""
+        """Loaded area over free area of the side."""
         return self.radius_m / (2.0 * self.height_m)
 
 
 def apparent_modulus(shear_Pa: ArrayLike, bulk_Pa: ArrayLike, settings: Analyser) -> Complex:
-    """Mean pressure over mean strain of a disc [Pa], of complex moduli G and K in any convention, shapes (...,).
+    """Return mean pressure over mean strain of a disc [Pa], for complex moduli G and K in any convention, shape (...,).
 
-    Frictionless: Young's modulus, 9 K G / (3 K + G). Bonded: E plus the stiffness of the pressure that builds up
-    because the faces cannot slide, p'' + p'/r = q^2 (p - K strain), q^2 = 12 G/(K h^2), with p = 0 at the side: E + K
-    I2(q a)/I0(q a) (Chalhoub & Kelly 1990, Int. J. Solids Struct. 26, 743; for K without end E (1 + 2 S^2), Gent &
-    Lindley 1959, Proc. Inst. Mech. Eng. 173, 111). The sides bulge as parabolas. Thin discs end at K + 4G/3, a disc
-    that cannot widen. Inertia is ignored: valid if shear waves are longer than the disc is high.
+    Frictionless faces: Young's modulus, 9 K G / (3 K + G). Bonded faces: E plus the stiffness of the pressure in the
+    disc, p'' + p'/r = q^2 (p - K strain), q^2 = 12 G/(K h^2), with p = 0 at the side: E + K I2(q a)/I0(q a) (Chalhoub &
+    Kelly 1990, Int. J. Solids Struct. 26, 743; for infinite K E (1 + 2 S^2), Gent & Lindley 1959, Proc. Inst. Mech.
+    Eng. 173, 111). The sides bulge as parabolas. The limit of thin discs is K + 4G/3, the uniaxial strain modulus.
+    Inertia is neglected, which requires shear waves longer than the height of the disc.
     """
     shear, bulk = np.asarray(shear_Pa, dtype=complex), np.asarray(bulk_Pa, dtype=complex)
     if not (
@@ -49,15 +49,15 @@ def apparent_modulus(shear_Pa: ArrayLike, bulk_Pa: ArrayLike, settings: Analyser
     if settings.faces == "frictionless":
         return np.asarray(young)
     argument = np.sqrt(12.0 * shear / bulk) * settings.radius_m / settings.height_m
-    # Scaled Bessel functions: a thin disc of a soft bulk has an argument of thousands
+    # Scaled Bessel functions, because thin discs with a small K have arguments of thousands
     pressed = bulk * ive(2, argument) / ive(0, argument)
-    # Thin: the pressure takes K, and the deviator 4G/3 of a column in place of E
+    # In a thin disc the pressure contributes K, and the deviator 4G/3 in place of E
     wide = bulk + 4.0 / 3.0 * shear
     return np.asarray(young + pressed * (wide - young) / bulk)
 
 
 def analyser_reading(material: Material, frequency_Hz: ArrayLike, settings: Analyser) -> Complex:
-    """Return the analyser's reading of a material [Pa], E' - iE'', e^{-i w t}; shape of frequency_Hz.
+    """Return the reading for a material [Pa], E' - iE'', e^{-i w t}, in the shape of frequency_Hz.
 
     Raises MeasurementError for frequencies that are below 0 or not finite.
     """
@@ -71,10 +71,10 @@ def analyser_reading(material: Material, frequency_Hz: ArrayLike, settings: Anal
 
 
 def shear_from_reading(apparent_Pa: ArrayLike, bulk_Pa: float, settings: Analyser) -> Complex:
-    """Return the shear modulus of a material of given bulk modulus from a reading [Pa], shape of apparent_Pa.
+    """Return the shear modulus for a reading and a bulk modulus [Pa], in the shape of apparent_Pa.
 
-    Newton's method from an incompressible disc. Raises MeasurementError if it does not converge, as for a modulus above
-    the bulk modulus.
+    Newton's method starts from an incompressible disc. Raises MeasurementError if it does not converge, for example for
+    a modulus above the bulk modulus.
     """
     shown = np.asarray(apparent_Pa, dtype=complex)
     factor = 1.0 if settings.faces == "frictionless" else 1.0 + 2.0 * settings.shape_factor**2

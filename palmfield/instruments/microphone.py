@@ -1,4 +1,4 @@
-"""A microphone moved through a sound field: average over the diaphragm, pressure rise at the face, bandwidth.
+"""Microphone moved through a sound field: average over the diaphragm, pressure rise at the face, bandwidth.
 
 Pressures are complex peak amplitudes of the carrier, e^{-i w t}.
 """
@@ -21,18 +21,18 @@ from palmfield.metrics.checks import even_step, trace
 from palmfield.types import Complex, Float, Int
 
 PressureAt = Callable[[Float], Complex]
-"""Pressure [Pa] at places [m] of shape (n, 3), shape (n,)."""
+"""Function that returns the pressure [Pa], shape (n,), at points [m], shape (n, 3)."""
 
 
 def series_terms(ka: float) -> tuple[Int, Complex]:
-    """Orders n and (2n + 1) i^n i/((ka)^2 h_n'(ka))."""
+    """Return the orders n and the coefficients (2n + 1) i^n i/((ka)^2 h_n'(ka))."""
     n = np.arange(int(ka + 4.0 * ka ** (1.0 / 3.0) + 12.0), dtype=np.int32)
     slope = spherical_jn(n, ka, derivative=True) + 1j * spherical_yn(n, ka, derivative=True)
     return n, (2 * n + 1) * 1j**n * 1j / (ka**2 * slope)
 
 
 def surface_pressure(ka: float, cosine: ArrayLike) -> Complex:
-    """Total pressure on a rigid fixed sphere in the wave exp(ikz), e^{-iwt}; cosine: of the angle from +z.
+    """Return the total pressure on a rigid fixed sphere in the wave exp(ikz), e^{-iwt}; cosine: of the angle from +z.
 
     p = sum (2n+1) i^n P_n [j_n - j_n'/h_n' h_n](ka), by the Wronskian (2n+1) i^n P_n i/((ka)^2 h_n') (Morse & Ingard,
     Theoretical Acoustics, section 8.2).
@@ -61,10 +61,10 @@ class Microphone(Settings):
 
 
 def diaphragm_points(settings: Microphone, rings: int = 6) -> tuple[Float, Float]:
-    """Places of a diaphragm about its middle [m], shape (m, 3), and their weights, with sum 1, shape (m,).
+    """Return points of a diaphragm relative to its centre [m], shape (m, 3), and weights of sum 1, shape (m,).
 
-    Gauss-Legendre in the square of the radius and even angles: a plane wave's average is exact to 1e-6 up to k a = 6.
-    Raises MeasurementError for a facing of no length.
+    Gauss-Legendre in the square of the radius and even angles; the error for a plane wave is 1e-6 up to k a = 6.
+    Raises MeasurementError for a facing of length 0.
     """
     facing = np.array(settings.facing)
     length = float(np.linalg.norm(facing))
@@ -89,12 +89,12 @@ def diaphragm_points(settings: Microphone, rings: int = 6) -> tuple[Float, Float
 def microphone_scan(
     pressure_at: PressureAt, places_m: ArrayLike, settings: Microphone, *, wavenumber: float | None = None
 ) -> xr.DataArray:
-    """Return a microphone's reading at places of its diaphragm's middle [Pa], complex, dimension (point,).
+    """Return the reading of a microphone at positions of the centre of its diaphragm [Pa], complex, (point,).
 
-    pressure_at: the sound without the microphone, for example `palmfield.acoustics.pressure` at points
-    wavenumber: of the sound [rad/m], which a face "cylinder" needs
-    The mean over the diaphragm, times `face_factor`, for sound from ahead; for other directions see `angle_response`
-    and `palmfield.instruments.microphone_body.face_rise`.
+    pressure_at: sound without the microphone, for example `palmfield.acoustics.pressure` at points
+    wavenumber: of the sound [rad/m], needed for face "cylinder"
+    The reading is the mean over the diaphragm times `face_factor`, for sound from the front; for other directions see
+    `angle_response` and `palmfield.instruments.microphone_body.face_rise`.
     """
     places = np.asarray(places_m, dtype=float)
     if places.ndim != 2 or places.shape[1] != 3 or len(places) == 0 or not np.isfinite(places).all():
@@ -110,14 +110,13 @@ def microphone_scan(
 
 
 def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> Complex:
-    """Response of a microphone's body to sound from the side, relative to sound from straight ahead; shape of cosine.
+    """Return the response of a microphone's body at an angle relative to sound from the front, in the shape of cosine.
 
-    The pressure on a rigid sphere of the microphone's diameter where it faces the head-on sound (exact,
-    `surface_pressure`), as a stand-in for the cylinder: at k a = 1.2, an eighth of an inch at 40 kHz, sound from ahead
-    is raised by 3.4 dB and from 50 degrees by 2.5. It multiplies the mean over the diaphragm of `microphone_scan`;
-    sources are weighted one by one, each by its own angle, so that the body is treated as alone in each one's sound.
+    The cylinder is approximated by a rigid sphere of its diameter (exact, `surface_pressure`). At k a = 1.2, 1/8 inch
+    at 40 kHz, sound from the front is raised by 3.4 dB and sound at 50 degrees by 2.5 dB. Multiply the mean over the
+    diaphragm of `microphone_scan` by this factor for each source separately.
 
-    cosine: of the angle between the diaphragm's outward normal and the direction to the source, -1 to 1
+    cosine: of the angle between the outward normal of the diaphragm and the direction to the source, -1 to 1
     Raises MeasurementError for others, a diameter below 0 and a wavenumber that is not above 0.
     """
     ahead = np.asarray(cosine, dtype=float)
@@ -135,9 +134,8 @@ def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> C
 
 
 def face_factor(settings: Microphone, wavenumber: float | None = None) -> float:
-    """Pressure rise of the face for sound from ahead: 1 free, 2 with doubling, between for a cylinder.
-
-    wavenumber: [rad/m], which a cylinder needs. Raises MeasurementError without it, and as `face_rise`.
+    """Return the pressure rise of the face for sound from the front: 1 free, 2 with doubling, by `face_rise` for a
+    cylinder, which needs the wavenumber [rad/m]. Raises MeasurementError without it, and as `face_rise`.
     """
     if settings.face == "cylinder":
         if wavenumber is None:
@@ -149,23 +147,23 @@ def face_factor(settings: Microphone, wavenumber: float | None = None) -> float:
 
 
 def through_band(times_s: ArrayLike, envelope: ArrayLike, carrier_Hz: float, settings: Microphone) -> Complex:
-    """Filter a carrier's complex envelope over time [Pa], shape (t, ...), by the microphone's band.
+    """Filter the complex envelope of a carrier over time [Pa], shape (t, ...), by the band of the microphone.
 
-    Each part of the envelope at f is one of the sound at carrier_Hz + f, and is multiplied by the response there. The
-    record is assumed periodic; it must have even steps. Raises MeasurementError for others.
+    A component of the envelope at f is sound at carrier_Hz + f and multiplied by the response at this frequency. The
+    record is assumed periodic. Raises MeasurementError for uneven times.
     """
     times = np.asarray(times_s, dtype=float)
     values = np.asarray(envelope, dtype=complex)
     trace(times, np.abs(values))
     step = even_step(times)
-    # e^{-i w t}: a part e^{-i 2 pi f t} of the envelope is sound at carrier + f
+    # With e^{-i w t}, a component e^{-i 2 pi f t} of the envelope is sound at carrier + f
     frequencies = carrier_Hz - np.fft.fftfreq(len(times), step)
     response = band_response(frequencies, settings).reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray(np.fft.ifft(np.fft.fft(values, axis=0) * response, axis=0))
 
 
 def band_response(frequency_Hz: ArrayLike, settings: Microphone) -> Complex:
-    """Complex response of the band at frequencies [Hz], e^{-i w t}, so that a delay is +phase; shape as theirs."""
+    """Return the complex response of the band at frequencies [Hz], in their shape; e^{-i w t}, so a delay is +phase."""
     frequencies = np.asarray(frequency_Hz, dtype=float)
     low, high = settings.low_Hz, settings.high_Hz
     if low is not None and high is not None and low >= high:
@@ -174,6 +172,6 @@ def band_response(frequency_Hz: ArrayLike, settings: Microphone) -> Complex:
     for edge, kind in ((low, "highpass"), (high, "lowpass")):
         if edge is not None:
             zeros, poles, gain = butter(settings.order, 2.0 * math.pi * edge, kind, analog=True, output="zpk")
-            # SciPy's phasors go with e^{+i w t}
+            # SciPy uses e^{+i w t}
             total *= freqs_zpk(zeros, poles, gain, worN=2.0 * math.pi * frequencies)[1].conj()
     return total

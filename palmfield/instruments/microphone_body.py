@@ -1,4 +1,4 @@
-"""Effect of a microphone's body on the sound at its face: a rigid cylinder in a plane wave, by boundary elements."""
+"""Effect of the body of a microphone on the sound at its face: rigid cylinder in a plane wave, boundary elements."""
 
 import math
 from functools import lru_cache
@@ -11,21 +11,21 @@ from palmfield.errors import MeasurementError
 from palmfield.types import Float, Int
 
 LENGTH_RADII = 6.0
-"""Length of the cylinder; another one changes the face's pressure by 0.2 dB, by sound diffracted round its end."""
+"""Length of the cylinder; other lengths change the pressure at the face by 0.2 dB, by diffraction at the end."""
 EDGES_A_RADIUS = 5
 EDGES_A_WAVE = 8.0
 MOST_KA = 6.0
 
 
 def face_rise(diameter_m: float, wavenumber: float, cosine: float = 1.0) -> complex:
-    """Mean pressure on the flat face of a rigid cylinder in a plane wave, over that of the wave at the face's middle.
+    """Return the mean pressure on the face of a rigid cylinder in a plane wave, over that of the wave at its centre.
 
-    1 for sound much longer than the face; 1.57 (3.9 dB) from ahead at k a = 1.16, an eighth of an inch at 40 kHz; 2.15
-    from k a = 2 on, where edge diffraction adds to doubling. e^{-i w t}, so that a delay is +phase. Within 0.3 dB: 0.1
-    by the mesh (change with half its edges), 0.2 by the cylinder's length. Takes a second or more, once for each.
+    It is 1 for wavelengths much larger than the face; 1.57 (3.9 dB) from the front at k a = 1.16, 1/8 inch at 40 kHz;
+    2.15 from k a = 2 on, with edge diffraction and doubling. With e^{-i w t} a delay is +phase. The error is 0.3 dB:
+    0.1 dB by the mesh (change with half the edge length), 0.2 dB by the length. The first call takes over a second.
 
-    diameter_m: of the face and the body; wavenumber: [rad/m]; cosine: of the angle between the face's outward normal
-    and the direction to the source
+    diameter_m: of face and body; wavenumber: [rad/m]; cosine: of the angle between the outward normal of the face and
+    the direction to the source
     Raises MeasurementError for cosines beyond -1 and 1, and for k a that is not above 0 or above MOST_KA.
     """
     ka = 0.5 * diameter_m * wavenumber
@@ -43,19 +43,19 @@ def face_rise(diameter_m: float, wavenumber: float, cosine: float = 1.0) -> comp
 def _face_rise(ka: float, cosine: float) -> complex:
     vertices, faces = cylinder(max(EDGES_A_RADIUS, math.ceil(EDGES_A_WAVE * ka / (2.0 * math.pi))))
     sine = math.sqrt(1.0 - cosine**2)
-    found = scatter(
+    solution = scatter(
         vertices, faces, lambda points: np.exp(-1j * ka * (cosine * points[:, 2] + sine * points[:, 0])), ka,
         device="cpu",
     )  # fmt: skip
-    on_face = np.abs(found.centroids[:, 2]) < 1e-9
-    areas = found.areas[on_face]
-    return complex((found.pressure[on_face] * areas).sum() / areas.sum())
+    on_face = np.abs(solution.centroids[:, 2]) < 1e-9
+    areas = solution.areas[on_face]
+    return complex((solution.pressure[on_face] * areas).sum() / areas.sum())
 
 
 def cylinder(edges: int) -> tuple[Float, Int]:
-    """Vertices and outward faces of a cylinder of radius 1 whose face is at z = 0 and points along +z.
+    """Return vertices and outward faces of a cylinder of radius 1 whose face is at z = 0 and points along +z.
 
-    edges: of triangles from the face's middle to its rim
+    edges: number of triangle edges from the centre of the face to its rim
     """
     step = 1.0 / edges
     along = max(2, round(LENGTH_RADII / step))

@@ -1,4 +1,4 @@
-"""Register a measured scan to a surface: a rigid motion from the scan's own frame to the surface's."""
+"""Register a measured scan to a surface, by a rigid motion from the frame of the scan to that of the surface."""
 
 from typing import NamedTuple
 
@@ -16,17 +16,17 @@ from palmfield.types import Float, Int
 
 ROUNDS = 60
 LEAST_DIRECTION = 1e-2
-"""Share of the points' motion that must leave the surface for a motion to be determined by it."""
+"""A motion is determined by the surface if more than this share of the motion of the points is normal to it."""
 SETTLED_M = 1e-9
 
 
 class Registration(NamedTuple):
-    """A scan's place on a surface.
+    """Pose of a scan on a surface.
 
-    transform: from the scan's frame to the surface's; residual_m: distance of each point from the surface, shape (n,)
-    fiducials_m: distance of each fiducial from its partner, shape (k,), empty without them
-    undetermined: of three shifts and three rotations, the number that the surface does not determine;
-    turns: how many of these rotate the scan without shifting it, 1 on a plane
+    transform: from the frame of the scan to that of the surface; residual_m: distances from the surface, shape (n,)
+    fiducials_m: distance of each fiducial from its partner, shape (k,), empty without fiducials
+    undetermined: number of rigid motions, of three shifts and three rotations, not determined by the surface
+    turns: number of these that rotate the scan without a shift, 1 on a plane
     """
 
     transform: Transform
@@ -37,12 +37,12 @@ class Registration(NamedTuple):
 
     @property
     def rms_m(self) -> float:
-        """Root of the mean square distance from the surface [m]."""
+        """Root mean square distance from the surface [m]."""
         return float(np.sqrt(np.mean(self.residual_m**2)))
 
 
 def by_fiducials(measured_m: ArrayLike, surface_m: ArrayLike) -> Transform:
-    """The rigid motion that takes points nearest to their partners, shapes (k, 3), k >= 3 (Kabsch 1976).
+    """Return the rigid motion from points to their partners, shapes (k, 3), k >= 3, by least squares (Kabsch 1976).
 
     Raises MeasurementError for fewer points, NaN, and points on one line.
     """
@@ -63,35 +63,36 @@ def by_fiducials(measured_m: ArrayLike, surface_m: ArrayLike) -> Transform:
 def to_surface(
     points_m: ArrayLike, vertices: Float, faces: Int, begin: Transform = IDENTITY
 ) -> tuple[Transform, int, int]:
-    """Return the rigid motion near `begin` that brings points onto a mesh; how many of six directions are undetermined,
-    and how many of these are rotations.
+    """Return the rigid motion near `begin` that moves points onto a mesh, and the numbers of undetermined directions
+    (of six) and of undetermined rotations.
 
-    Least squares of the distances along the surface's normals, point to plane (Chen & Medioni 1992), until convergence.
-    Directions in which the points slide along the surface, on a plane two shifts and one rotation, are not changed.
+    Distances along the surface normals, point to plane (Chen & Medioni 1992), are minimised by least squares until
+    convergence. Directions in which the points slide along the surface (on a plane two shifts and one rotation) are not
+    changed.
     """
     points = np.asarray(points_m, dtype=float)
     across, _ = face_normals(np.asarray(vertices, dtype=float), np.asarray(faces))
-    transform, known = begin, np.zeros((0, 6))
+    transform, fixed = begin, np.zeros((0, 6))
     for _ in range(ROUNDS):
         at = transform.points(points)
-        found = on_mesh(vertices, faces, at)
-        normals = across[found.triangle]
-        gaps = np.einsum("ni,ni->n", at - found.nearest, normals)
+        nearest = on_mesh(vertices, faces, at)
+        normals = across[nearest.triangle]
+        gaps = np.einsum("ni,ni->n", at - nearest.nearest, normals)
         middle = at.mean(axis=0)
-        # Rotations are scaled by the motion of the outermost points, so that all six columns are lengths
+        # Rotations are scaled by the distance of the outermost points, so that all six columns are lengths
         radius = max(float(np.linalg.norm(at - middle, axis=1).max()), 1e-9)
         columns = np.hstack([normals, np.cross(at - middle, normals) / radius]) / np.sqrt(len(at))
         left, sizes, right = np.linalg.svd(columns, full_matrices=False)
-        told = sizes > LEAST_DIRECTION
-        known = right[told]
-        inverse = np.where(told, 1.0 / np.where(told, sizes, 1.0), 0.0)
+        determined = sizes > LEAST_DIRECTION
+        fixed = right[determined]
+        inverse = np.where(determined, 1.0 / np.where(determined, sizes, 1.0), 0.0)
         step = -right.T @ (inverse * (left.T @ (gaps / np.sqrt(len(at)))))
         turn = Rotation.from_rotvec(step[3:] / radius).as_matrix()
         position = turn @ (transform.position - middle) + middle + step[:3]
         transform = Transform(position, turn @ transform.rotation)
         if np.abs(step).max() < SETTLED_M:
             break
-    free = null_space(known) if len(known) else np.eye(6)
+    free = null_space(fixed) if len(fixed) else np.eye(6)
     shifts = int((np.linalg.svd(free[:3], compute_uv=False) > LEAST_DIRECTION).sum()) if free.size else 0
     return transform, free.shape[1], free.shape[1] - shifts
 
@@ -100,12 +101,12 @@ def registration(
     points_m: ArrayLike, vertices: Float, faces: Int, *, pairs: tuple[ArrayLike, ArrayLike] | None = None,
     surface: bool = True,
 ) -> Registration:  # fmt: skip
-    """Return a scan's place: by fiducials if there are pairs (measured, on the surface), then onto the surface."""
+    """Return the pose of a scan, by pairs of fiducials (measured, on the surface) if given, then by the surface."""
     begin = IDENTITY if pairs is None else by_fiducials(*pairs)
     transform, undetermined, turns = to_surface(points_m, vertices, faces, begin) if surface else (begin, 6, 3)
     residual = on_mesh(vertices, faces, transform.points(np.asarray(points_m, dtype=float))).distance_m
-    apart = np.zeros(0)
+    fiducials = np.zeros(0)
     if pairs is not None:
         measured, ours = (np.asarray(part, dtype=float) for part in pairs)
-        apart = np.linalg.norm(transform.points(measured) - ours, axis=1)
-    return Registration(transform, residual, apart, undetermined, turns)
+        fiducials = np.linalg.norm(transform.points(measured) - ours, axis=1)
+    return Registration(transform, residual, fiducials, undetermined, turns)

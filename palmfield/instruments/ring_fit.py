@@ -1,7 +1,7 @@
-"""Ring waves of a small source, fitted to complex amplitudes at points along a flat surface.
+"""Fit ring waves of a small source to complex amplitudes at points of a flat surface.
 
-Phasors go with e^{-i w t}, wavenumbers k = w/c + i/L. Each wave of a layer is a ring outside the source: H0(k r) in the
-motion along the normal, H1(k r) in the motion along the surface, away from the source. An oblique beam measures both.
+Phasors are e^{-i w t}, wavenumbers k = w/c + i/L. Outside the source each wave of a layer is a ring: H0(k r) in the
+normal motion, H1(k r) in the radial motion along the surface. An oblique beam measures both.
 """
 
 import math
@@ -16,25 +16,25 @@ from palmfield.types import Complex, Float
 MOST_RINGS = 6
 """Largest number of fitted waves."""
 REACH_M = 4e-3
-"""The source is searched within this of its given place, along each axis."""
+"""Largest distance of the fitted source from its nominal position along each axis."""
 STARTS, SPLITS = 3, 2
 WIDEST = 1.5
-"""Wavenumbers are searched up to this share of pi over the points' pitch: real and imaginary part."""
+"""Largest real and imaginary part of fitted wavenumbers, as shares of pi over the pitch of the points."""
 LEAST_LOSS = 2e-3
 FLOOR = 2e-3
-"""Share of the motion's rms: least assumed noise, so that scans without noise, as from a run, do not count as exact."""
+"""Smallest assumed noise, as a share of the rms of the motion, so that scans from runs are not treated as exact."""
 APART = 0.25
-"""Distance of start points of one more ring, as a share of the wavenumber."""
+"""Distance of start points of a further ring, as a share of the wavenumber."""
 HIDDEN_SPAN, HIDDEN_APART = (0.35, 2.2), 0.2
 NEAREST_M = 1e-4
-"""Least distance from the source: rings are infinite there."""
+"""Smallest distance from the source, where rings are infinite."""
 
 
 class Scanned(NamedTuple):
     """Data of a fit.
 
-    values: amplitudes over their rms, shape (n,); flat: places about the source's nominal place [m], shape (n, 2)
-    along: parts of the beams along the surface over that along the normal, shape (n, 2), or None for none
+    values: amplitudes over their rms, shape (n,); flat: points relative to the nominal source [m], shape (n, 2)
+    along: tangential over normal components of the beams, shape (n, 2), or None for normal beams
     top: pi over the pitch [rad/m], the unit of wavenumbers within the fit
     """
 
@@ -45,12 +45,12 @@ class Scanned(NamedTuple):
 
 
 class Rings(NamedTuple):
-    """A fit.
+    """Result of a fit.
 
     k: wavenumbers [rad/m], shape (rings,); motion: rms of each ring at the points over that of the scan, shape (rings,)
     deviation: standard deviation of each wavenumber by noise, relative to |k|, shape (rings,)
-    misfit: rms of the residual over the scan's; left: the residual, shape (n,)
-    score: Bayesian information criterion, less is better; source: its place, shape (2,) [m]; x: the fit's own numbers
+    misfit: rms of the residual over that of the scan; left: residual, shape (n,)
+    score: Bayesian information criterion, smaller is better; source: position [m], shape (2,); x: vector of unknowns
     """
 
     k: Complex
@@ -64,9 +64,10 @@ class Rings(NamedTuple):
 
 
 class _Field(NamedTuple):
-    """columns: rings of unit amplitude, shape (n, rings, 1 or 2), the second of motion along the surface
+    """Rings at the points. columns: rings of unit amplitude, shape (n, rings, 1 or 2), the second of tangential motion
 
-    h0, h1: at k r, shape (n, rings); ways, r: from the source; towards: along . ways / r
+    h0, h1: Hankel functions at k r, shape (n, rings); ways, r: vectors and distances from the source; towards: along .
+    ways / r
     """
 
     columns: Complex
@@ -79,10 +80,10 @@ class _Field(NamedTuple):
 
 
 def ring_fits(scanned: Scanned) -> list[Rings]:
-    """Return fits of 1, 2, ... rings, until two more have not lowered the score, or MOST_RINGS.
+    """Return fits of 1, 2, ... rings, until two further rings do not lower the score, or up to MOST_RINGS.
 
-    Each starts from the rings of the one before with one more, at the STARTS places of least residual, or with two in
-    place of one: of two similar waves the fit with fewer rings has one between them.
+    Each fit starts from the rings of the fit before, either with a further ring at the STARTS wavenumbers of smallest
+    residual, or with one ring split in two, since a single ring fits between two similar waves.
     """
     fits: list[Rings] = []
     x = np.zeros(2)
@@ -94,16 +95,16 @@ def ring_fits(scanned: Scanned) -> list[Rings]:
         begins = [_with(x, [one]) for one in _beginnings(scanned, x)] + _split(scanned, x)
         runs = [_descend(scanned, begin) for begin in begins]
         x = min(runs, key=lambda run: run[0])[1]
-        fits.append(_told(scanned, x))
+        fits.append(_result(scanned, x))
     return fits
 
 
 def hidden_change(scanned: Scanned, fit: Rings, number: int) -> float:
-    """Return the largest change of a ring's wavenumber by a wave hidden in the noise, relative to |k|.
+    """Return the largest change of the wavenumber of a ring by a wave hidden in the noise, relative to |k|.
 
-    One more ring, seen along the normal, is added at wavenumbers round the ring's own, HIDDEN_APART from all of the
-    fit, with the ring's losses. To first order the fit then moves by a shift and has another standard deviation. The
-    largest root of the sum of their squares.
+    A further ring of normal motion with the losses of the ring is added at wavenumbers around it, HIDDEN_APART from all
+    rings of the fit. To first order this shifts the wavenumber and changes its standard deviation. The result is the
+    largest root of the sum of squares of both.
     """
     k, source = _unpacked(scanned, fit.x)
     field = _field(scanned, k, source)
@@ -130,7 +131,7 @@ def hidden_change(scanned: Scanned, fit: Rings, number: int) -> float:
 
 
 def _with(x: Float, more: list[complex], but: int | None = None) -> Float:
-    """Return the unknowns of a fit with more rings, without one."""
+    """Return the unknowns of a fit with more rings, and without ring `but`."""
     real, imaginary, source = np.split(x, [(len(x) - 2) // 2, len(x) - 2])
     if but is not None:
         real, imaginary = np.delete(real, but), np.delete(imaginary, but)
@@ -139,7 +140,7 @@ def _with(x: Float, more: list[complex], but: int | None = None) -> Float:
 
 
 def _split(scanned: Scanned, x: Float) -> list[Float]:
-    """Split each ring in turn into two, nearer and farther in wavenumber; return the SPLITS with least residual."""
+    """Split each ring into two at smaller and larger wavenumbers; return the SPLITS fits of smallest residual."""
     begins = []
     for number in range((len(x) - 2) // 2):
         k = complex(x[number], x[(len(x) - 2) // 2 + number])
@@ -157,7 +158,7 @@ def _field(scanned: Scanned, k: Complex, source: Float) -> _Field:
     ways = scanned.flat - source
     r = np.maximum(np.linalg.norm(ways, axis=1), NEAREST_M)
     kr = np.outer(r, k)
-    # Every ring has size 1 at the scan's middle distance, so that columns are of similar size
+    # Rings have size 1 at the mean distance of the scan, so that all columns have similar sizes
     size = np.abs(hankel1(0, k * float(np.median(r))))
     h0, h1 = hankel1(0, kr) / size, hankel1(1, kr) / size
     if scanned.along is None:
@@ -167,20 +168,20 @@ def _field(scanned: Scanned, k: Complex, source: Float) -> _Field:
 
 
 def _projected(field: _Field, values: Complex) -> tuple[Complex, Complex, Complex]:
-    """Return an orthonormal basis of the rings' columns, their amplitudes by least squares, and the residual."""
+    """Return an orthonormal basis of the columns of the rings, their least-squares amplitudes, and the residual."""
     flat = field.columns.reshape(len(values), -1)
     basis, sizes, right = np.linalg.svd(flat, full_matrices=False)
-    held = sizes > 1e-9 * sizes[0]
-    basis = basis[:, held]
+    kept = sizes > 1e-9 * sizes[0]
+    basis = basis[:, kept]
     inside = basis.conj().T @ values
-    parts = right[held].conj().T @ (inside / sizes[held])
+    parts = right[kept].conj().T @ (inside / sizes[kept])
     return basis, parts.reshape(field.columns.shape[1:]), values - basis @ inside
 
 
 def _residual(scanned: Scanned, x: Float) -> tuple[Complex, Complex]:
     """Return the residual of the best amplitudes, shape (n,), and its derivatives, shape (n, len(x)).
 
-    Variable projection (Golub & Pereyra 1973) with Kaufman's derivative: amplitudes never enter as unknowns.
+    Variable projection (Golub & Pereyra 1973) with Kaufman's derivative; amplitudes are not unknowns.
     """
     k, source = _unpacked(scanned, x)
     field = _field(scanned, k, source)
@@ -206,7 +207,7 @@ def _real(values: Complex) -> Float:
 
 
 def _descend(scanned: Scanned, x: Float) -> tuple[float, Float]:
-    """Minimise half the sum of squared residuals; return it, and the place."""
+    """Minimise half the sum of squared residuals; return the minimum and the unknowns."""
     rings = (len(x) - 2) // 2
     low = np.concatenate([np.full(rings, -WIDEST), np.full(rings, LEAST_LOSS), [-1.0, -1.0]])
     high = np.concatenate([np.full(2 * rings, WIDEST), [1.0, 1.0]])
@@ -217,15 +218,15 @@ def _descend(scanned: Scanned, x: Float) -> tuple[float, Float]:
             last[:] = [(x.copy(), *_residual(scanned, x))]
         return last[0][1:]
 
-    found = least_squares(
+    minimum = least_squares(
         lambda x: _real(at(x)[0]), np.clip(x, low + 1e-6, high - 1e-6), jac=lambda x: _real(at(x)[1]),
         bounds=(low, high), xtol=1e-8, ftol=1e-8, max_nfev=60,
     )  # fmt: skip
-    return float(found.cost), np.asarray(found.x)
+    return float(minimum.cost), np.asarray(minimum.x)
 
 
 def _beginnings(scanned: Scanned, x: Float) -> list[complex]:
-    """Return wavenumbers, over scanned.top, of one more ring that would reduce the residual most."""
+    """Return the wavenumbers, over scanned.top, of a further ring that would reduce the residual most."""
     grid = [complex(real, real * loss) for real in np.geomspace(0.03, 1.2, 18) for loss in (0.08, 0.25, 0.6, 1.2)]
     grid += [complex(-real, max(real, 0.15) * loss) for real in (0.07, 0.2, 0.4) for loss in (0.54, 0.8, 1.1)]
     k, source = _unpacked(scanned, x)
@@ -251,7 +252,7 @@ def _beginnings(scanned: Scanned, x: Float) -> list[complex]:
     return chosen
 
 
-def _told(scanned: Scanned, x: Float) -> Rings:
+def _result(scanned: Scanned, x: Float) -> Rings:
     k, source = _unpacked(scanned, x)
     field = _field(scanned, k, source)
     _, parts, _ = _projected(field, scanned.values)

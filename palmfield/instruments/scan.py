@@ -1,4 +1,4 @@
-"""A scan: records of a vibrometer, real or virtual, at the points of a grid."""
+"""Scan: records of a real or virtual vibrometer at the points of a grid."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -16,19 +16,19 @@ UNITS: dict[Quantity, dict[str, float]] = {
     "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
     "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
 }
-"""Factors to m and m/s."""
+"""Factors of units to m and m/s."""
 
 
 @dataclass(frozen=True)
 class Scan:
-    """Records of points, all with the same times.
+    """Records of points at common times.
 
-    quantity: measured along the beams; times_s: evenly spaced, from the trigger [s], shape (t,)
-    points: [m], shape (n, 3), in a frame of the scan's own; values: [m or m/s], shape (t, n)
+    quantity: quantity measured along the beams; times_s: evenly spaced, from the trigger [s], shape (t,)
+    points: [m], shape (n, 3), in the frame of the scan; values: [m or m/s], shape (t, n)
     sights: unit vectors from the points to the head, shape (n, 3), or None if not given
     name: for messages and pictures
-    Raises MeasurementError for other shapes, less than 16 samples, uneven times, numbers that are not finite, points in
-    one place, and lines of sight without a length.
+    Raises MeasurementError for other shapes, fewer than 16 samples, uneven times, numbers that are not finite, points
+    at equal positions, and lines of sight of length 0.
     """
 
     quantity: Quantity
@@ -75,17 +75,17 @@ class Scan:
 
     @property
     def rate_Hz(self) -> float:
-        """Samples a second."""
+        """Sampling rate [Hz]."""
         return 1.0 / even_step(self.times_s)
 
     def at_points(self, chosen: "np.ndarray") -> "Scan":
-        """The scan of some of its points, by number or as a mask."""
+        """Return the scan at some of its points, chosen by numbers or a mask."""
         sights = None if self.sights is None else self.sights[chosen]
         return Scan(self.quantity, self.times_s, self.points[chosen], self.values[:, chosen], sights, self.name)
 
 
 def _in_one_place(points: Float) -> tuple[int, int]:
-    """Return numbers of the first two coincident points, (0, 0) for none. points: [m], shape (n, 3)"""
+    """Return the numbers of the first two coincident points, (0, 0) without any. points: [m], shape (n, 3)"""
     order = np.lexsort(points.T)
     same = np.flatnonzero((np.diff(points[order], axis=0) == 0.0).all(axis=1))
     if len(same) == 0:

@@ -1,4 +1,4 @@
-"""Places of a scan, on the plane z = 0 of its own frame."""
+"""Points of a scan, in the plane z = 0 of its frame."""
 
 import math
 
@@ -14,7 +14,7 @@ MOST_PLACES = 10_000_000
 
 
 def rectangle_grid(width_m: float, height_m: float, pitch_m: float) -> Float:
-    """Square grid with a place in the middle, of at most width_m along x and height_m along y [m], shape (n, 3)."""
+    """Return a square grid with a point in the centre, at most width_m by height_m along x and y [m], shape (n, 3)."""
     for name, value in (("width_m", width_m), ("height_m", height_m), ("pitch_m", pitch_m)):
         above_zero(name, value)
     if width_m * height_m > MOST_PLACES * pitch_m**2:
@@ -28,13 +28,13 @@ def rectangle_grid(width_m: float, height_m: float, pitch_m: float) -> Float:
 
 
 def disc_grid(radius_m: float, pitch_m: float) -> Float:
-    """The places of such a grid that lie on a disc about its middle [m], shape (n, 3)."""
+    """Return the points of a square grid on a disc about its centre [m], shape (n, 3)."""
     grid = rectangle_grid(2.0 * radius_m, 2.0 * radius_m, pitch_m)
     return grid[np.hypot(grid[:, 0], grid[:, 1]) <= radius_m * (1.0 + 1e-9)]
 
 
 def line_grid(length_m: float, count: int, azimuth_deg: float = 0.0) -> Float:
-    """`count` evenly spaced places on a line through the middle [m], shape (count, 3)."""
+    """Return `count` evenly spaced points on a line through the centre [m], shape (count, 3)."""
     above_zero("length_m", length_m)
     finite("azimuth_deg", np.atleast_1d(azimuth_deg))
     count = whole("count of places", count, 2, MOST_PLACES)
@@ -44,7 +44,7 @@ def line_grid(length_m: float, count: int, azimuth_deg: float = 0.0) -> Float:
 
 
 def pitch(points_m: ArrayLike) -> float:
-    """Median distance of a place to its nearest neighbour [m]."""
+    """Return the median distance of points to their nearest neighbours [m]."""
     points = np.asarray(points_m, dtype=float)
     if points.ndim != 2 or len(points) < 2:
         raise MeasurementError(f"points have shape {points.shape}; a pitch needs two or more")

@@ -1,4 +1,4 @@
-"""Settings of an instrument: keys with their limits, from Python or from a table of a TOML file."""
+"""Settings of an instrument: keys with limits, set in Python or in a table of a TOML file."""
 
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.config.base import allowed
 from palmfield.errors import MeasurementError, did_you_mean, naming
-from palmfield.input_files import read_toml, reading
+from palmfield.given_files import read_toml, reading
 
 Vector3 = Annotated[tuple[float, float, float], Field()]
 Positive = Annotated[float, Field(gt=0)]
@@ -15,9 +15,9 @@ NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Settings(BaseModel):
-    """Base of the settings of instruments. A key that is unknown or out of its limits is a MeasurementError.
+    """Base of the settings of instruments. Unknown keys and values outside the limits raise MeasurementError.
 
-    instrument: name in messages, and of its table in a TOML file
+    instrument: name in messages, and name of the table in a TOML file
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -27,8 +27,8 @@ class Settings(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            told = dict.fromkeys(_explained(type(self), values, one) for one in error.errors())
-            raise MeasurementError(f"{self.instrument}: " + "; ".join(told)) from None
+            messages = dict.fromkeys(_explained(type(self), values, one) for one in error.errors())
+            raise MeasurementError(f"{self.instrument}: " + "; ".join(messages)) from None
 
 
 Model = TypeVar("Model", bound=Settings)
@@ -41,15 +41,15 @@ def _explained(model: type[Settings], values: dict[str, Any], error: Any) -> str
     if key not in model.model_fields:
         near = did_you_mean(key, model.model_fields)
         return f"unknown key '{key}'{near}; allowed: {', '.join(model.model_fields)}"
-    takes = allowed(model, key)
-    near = did_you_mean(str(values[key]), takes.split(" | ")) if " | " in takes else ""
-    return f"key '{key}' has value {values[key]!r}{near}; allowed: {takes}"
+    limits = allowed(model, key)
+    near = did_you_mean(str(values[key]), limits.split(" | ")) if " | " in limits else ""
+    return f"key '{key}' has value {values[key]!r}{near}; allowed: {limits}"
 
 
 def read_settings(path: str | Path, model: type[Model]) -> Model:
-    """Settings from the table of a TOML file that has the instrument's name.
+    """Read settings from the table of a TOML file with the name of the instrument.
 
-    Raises MeasurementError for a file that is unreadable, is no TOML, lacks the table or has others, or has wrong keys.
+    Raises MeasurementError for a file that cannot be read as TOML, lacks the table or has others, or has invalid keys.
     """
     file = Path(path)
     with reading(file, MeasurementError, "a TOML file in UTF-8"):

@@ -1,7 +1,7 @@
 """Electronics of an instrument: filters, integration, sampling, noise.
 
-Signals are float64 of shape (t, ...), evenly sampled, time along the first axis. All functions raise MeasurementError
-for other shapes, NaN, and rates and frequencies that are not above 0.
+Signals are float64, shape (t, ...), evenly sampled, with time along the first axis. All functions raise
+MeasurementError for other shapes, NaN, and rates and frequencies that are not above 0.
 """
 
 import math
@@ -21,20 +21,20 @@ Phase = Literal["causal", "zero_phase"]
 ORDERS = (1, 12)
 ANTI_ALIAS_ORDER = 8
 ANTI_ALIAS_SHARE = 0.4
-"""Cut-off of the zero-phase Butterworth low-pass before sampling at a lower rate, as a share of that rate."""
+"""Cutoff of the zero-phase Butterworth low-pass before sampling at a lower rate, as a share of that rate."""
 
 
 def highpass(signal: ArrayLike, rate_Hz: float, cutoff_Hz: float, order: int, *, phase: Phase = "causal") -> Float:
-    """A Butterworth high-pass of `order`, -3 dB at cutoff_Hz, of a signal that is at rest before it begins.
+    """Apply a Butterworth high-pass of `order`, -3 dB at cutoff_Hz, to a signal that is at rest before it begins.
 
-    phase: "causal", run forward once, as a device does it; "zero_phase", forward and backward (SciPy's `sosfiltfilt`):
-        no delay, the magnitude squared, so -6 dB at cutoff_Hz, and motion before its cause
+    phase: "causal", applied forward once, as in a device; "zero_phase", forward and backward (SciPy's `sosfiltfilt`):
+        without delay, with squared magnitude (-6 dB at cutoff_Hz), and not causal
     """
     return _butterworth(signal, rate_Hz, cutoff_Hz, order, phase, "highpass")
 
 
 def lowpass(signal: ArrayLike, rate_Hz: float, cutoff_Hz: float, order: int, *, phase: Phase = "causal") -> Float:
-    """As `highpass`, a low-pass."""
+    """Apply a Butterworth low-pass; arguments as for `highpass`."""
     return _butterworth(signal, rate_Hz, cutoff_Hz, order, phase, "lowpass")
 
 
@@ -45,7 +45,7 @@ def _butterworth(signal: ArrayLike, rate_Hz: float, cutoff_Hz: float, order: int
     if cutoff_Hz >= 0.5 * rate_Hz:
         raise MeasurementError(f"cutoff_Hz is {cutoff_Hz:g}; allowed: below half the rate, {0.5 * rate_Hz:g} Hz")
     order = whole("order of a filter", order, *ORDERS)
-    # Second-order sections: coefficients of the whole polynomial lose all digits at 50 Hz of 128 kHz
+    # Second-order sections, because polynomial coefficients lose all digits at 50 Hz and a rate of 128 kHz
     sections = butter(order, cutoff_Hz, kind, fs=rate_Hz, output="sos")
     if phase == "causal":
         return np.asarray(sosfilt(sections, values, axis=0))
@@ -64,7 +64,7 @@ def _samples(signal: ArrayLike) -> Float:
 
 
 def integrated(signal: ArrayLike, rate_Hz: float) -> Float:
-    """The integral over time from the first sample on, by trapezoids, 0 there."""
+    """Integrate over time by trapezoids, from 0 at the first sample."""
     values = _samples(signal)
     above_zero("rate_Hz", rate_Hz)
     return np.asarray(cumulative_trapezoid(values, dx=1.0 / rate_Hz, axis=0, initial=0.0))
@@ -73,9 +73,9 @@ def integrated(signal: ArrayLike, rate_Hz: float) -> Float:
 def sampled(times_s: ArrayLike, signal: ArrayLike, at_s: ArrayLike) -> Float:
     """Sample a signal at other, evenly spaced times, shape (len(at_s), ...), by a cubic spline.
 
-    If the signal has a higher rate than `at_s`, a zero-phase Butterworth low-pass of order 8 at 0.4 of the new rate
-    comes first, to avoid aliasing. Before its first time the signal has its first value.
-    Raises MeasurementError for times after its last one.
+    If the rate of the signal is higher than that of `at_s`, it is first filtered by a zero-phase Butterworth low-pass
+    of order 8 at 0.4 of the new rate, to avoid aliasing. Before its first time the signal has its first value.
+    Raises MeasurementError for times after the last one.
     """
     times, values = trace(times_s, signal, 4)
     at, _ = trace(at_s, at_s, single=True)

@@ -1,7 +1,7 @@
-"""A scanning laser vibrometer: it reads the velocity along its beam, point by point, through a chain of electronics.
+"""Scanning laser vibrometer, which measures the velocity along its beam at each point, with its electronics.
 
-The frame is the surface's own. A beam's line of sight is the unit vector from a point to the head, so that motion
-towards the head is positive.
+The frame is that of the surface. The line of sight of a beam is the unit vector from a point to the head, so that
+motion towards the head is positive.
 """
 
 import math
@@ -19,7 +19,7 @@ from palmfield.instruments.surface_motion import SurfaceMotion
 from palmfield.types import Float
 
 MOVES = 0.01
-"""Share of its largest velocity above which a surface counts as moving."""
+"""Share of the largest velocity above which a surface is considered to move."""
 
 
 class Vibrometer(Settings):
@@ -58,9 +58,9 @@ class Vibrometer(Settings):
 
 
 def lines_of_sight(points_m: ArrayLike, settings: Vibrometer) -> Float:
-    """Unit vectors from points [m], shape (n, 3), to the head, shape (n, 3).
+    """Return unit vectors from points [m], shape (n, 3), to the head, shape (n, 3).
 
-    Raises MeasurementError for a normal of no length, and an x_axis along it.
+    Raises MeasurementError for a normal of length 0, and for an x_axis along the normal.
     """
     points = np.atleast_2d(np.asarray(points_m, dtype=float))
     middle = middle_beam(settings)
@@ -71,7 +71,7 @@ def lines_of_sight(points_m: ArrayLike, settings: Vibrometer) -> Float:
 
 
 def middle_beam(settings: Vibrometer) -> Float:
-    """The line of sight of the point that the head is aimed at, shape (3,)."""
+    """Return the line of sight at aim_m, shape (3,)."""
     normal = np.array(settings.normal)
     length = np.linalg.norm(normal)
     if not length > 0.0:
@@ -87,10 +87,10 @@ def middle_beam(settings: Vibrometer) -> Float:
 
 
 def along_beam(motion: ArrayLike, sights: ArrayLike, settings: Vibrometer) -> Float:
-    """Project vectors of shape (t, n, 3) to lines of sight of shape (n, 3): shape (t, n).
+    """Return vectors, shape (t, n, 3), projected to lines of sight, shape (n, 3), as shape (t, n).
 
-    With settings.as_normal, divided by the cosine of incidence_deg: the normal motion of a surface without motion along
-    itself, seen by parallel beams. Motion along the surface enters with the tangent: 1 at 45 degrees.
+    With settings.as_normal they are divided by the cosine of incidence_deg. For parallel beams and purely normal motion
+    this is the normal motion. Tangential motion is added with the tangent of the angle: factor 1 at 45 degrees.
     """
     seen = np.einsum("tni,ni->tn", np.asarray(motion, dtype=float), np.asarray(sights, dtype=float))
     return np.asarray(seen / math.cos(math.radians(settings.incidence_deg)) if settings.as_normal else seen)
@@ -99,14 +99,14 @@ def along_beam(motion: ArrayLike, sights: ArrayLike, settings: Vibrometer) -> Fl
 def vibrometer_record(
     motion: SurfaceMotion, settings: Vibrometer, *, sights: ArrayLike | None = None, seed: int | None = None
 ) -> xr.DataArray:
-    """Return the vibrometer's record of each point, dimensions (time, point), in m/s or m by settings.reading.
+    """Return the record of each point, dimensions (time, point), in m/s or m by settings.reading.
 
-    In this order: velocity along the beam, anti-aliasing low-pass, sampling, noise, high-pass, low-pass, integration.
-    Time 0 is the trigger. sights: measured lines of sight, shape (n, 3), in place of those of the settings
-    seed: of the noise; None for a random one
+    Order of operations: velocity along the beam, anti-aliasing low-pass, sampling, noise, high-pass, low-pass,
+    integration. Time 0 is the trigger. sights: measured lines of sight, shape (n, 3), instead of those of the settings
+    seed: seed of the noise; None for a random seed
     Coordinates: time [s]; x, y, z [m] and sight_x, sight_y, sight_z of each point.
-    Raises MeasurementError for points seen from behind, records that are longer than the motion or have under four
-    samples, and those that begin before it if it does not begin at rest.
+    Raises MeasurementError for points that face away, records longer than the motion or with fewer than four samples,
+    and records that begin before a motion that does not start at rest.
     """
     beams = lines_of_sight(motion.points, settings) if sights is None else np.asarray(sights, dtype=float)
     if beams.shape != motion.points.shape:
@@ -123,21 +123,21 @@ def vibrometer_record(
     times = np.arange(count) / rate
     signal = sampled(moments, seen, start + times)
     if settings.noise_m_s_rtHz > 0.0:
-        # White, of a one-sided density up to half the rate
+        # White noise with a one-sided density up to half the rate
         deviation = settings.noise_m_s_rtHz * math.sqrt(0.5 * rate / settings.averages)
         signal = signal + np.random.default_rng(seed).normal(0.0, deviation, signal.shape)
     return labelled(times, chain(signal, settings), motion.points, beams, settings.reading)
 
 
 def _from_rest(times: Float, seen: Float) -> tuple[Float, Float]:
-    """Add time 0, where runs and solvers are at rest; their first sample is one step later."""
+    """Add time 0, at which runs and solvers are at rest; their first sample is one step later."""
     if not 0.0 < times[0] <= 1.5 * (times[1] - times[0]):
         return times, seen
     return np.append(0.0, times), np.concatenate([np.zeros_like(seen[:1]), seen])
 
 
 def _check_rest(times: Float, seen: Float, start: float) -> None:
-    """Before the motion's first time there are no data, unless it was at rest."""
+    """Raise MeasurementError if the record begins before the motion and the motion does not begin at rest."""
     if start >= times[0] - 1e-6 * (times[1] - times[0]):
         return
     first, most = float(np.abs(seen[0]).max()), float(np.abs(seen).max())
@@ -160,7 +160,7 @@ def _check_seen(motion: SurfaceMotion, beams: Float) -> None:
 
 
 def chain(velocity: ArrayLike, settings: Vibrometer) -> Float:
-    """Filters and integration of settings, on velocities along the beam at the sampling rate, shape (t, n)."""
+    """Apply filters and integration to velocities along the beam at the sampling rate, shape (t, n)."""
     signal = np.asarray(velocity, dtype=float)
     rate = settings.sampling_rate_Hz
     if settings.highpass_Hz is not None:
@@ -171,7 +171,7 @@ def chain(velocity: ArrayLike, settings: Vibrometer) -> Float:
 
 
 def labelled(times_s: Float, values: Float, points_m: Float, sights: Float, reading: str) -> xr.DataArray:
-    """A record with its times, places and lines of sight."""
+    """Return a record with times, points and lines of sight as coordinates."""
     units = "m" if reading == "displacement" else "m s-1"
     coordinates = {"time": ("time", times_s, {"units": "s", "long_name": "from the trigger"})}
     for column, axis in enumerate("xyz"):

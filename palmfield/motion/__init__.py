@@ -1,4 +1,4 @@
-"""How hands move: keyframes, trajectories, recorded tracking, and a tracked hand's motion carried over to another one.
+"""Motion of hands: keyframes, trajectories, recorded tracking, and transfer of tracked motion to another hand.
 
 from palmfield.hand import articulate, load_preset
 from palmfield.motion import read_stream

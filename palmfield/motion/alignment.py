@@ -1,4 +1,4 @@
-"""Pose of a tracker relative to an array, from points touched by a fingertip at given places of the array."""
+"""Pose of a tracker relative to an array, from known points of the array touched by a fingertip."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError, fault_of
-from palmfield.input_files import MOST_SETTINGS_BYTES, read_bytes, reading
+from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes, reading
 from palmfield.tables import read_table, taken
 from palmfield.transforms import Transform
 from palmfield.types import Float
@@ -18,24 +18,24 @@ from palmfield.whole_files import write_text
 COLUMNS = tuple(f"{frame}_{axis}_m" for frame in ("array", "tracker") for axis in "xyz")
 FEWEST = 3
 LEAST_SPREAD_M = 0.02
-"""Least extent of the points across their best line, from end to end; below it the rotation is undetermined."""
+"""Smallest extent of the points normal to their best line; below it the rotation is undetermined."""
 LARGEST_MISS_M = 0.02
-"""Largest misfit of points: beyond it they are not touches of the given places."""
+"""Largest misfit of points; beyond it they do not correspond to the given points."""
 TOUCH_SD_M = 1e-3
-"""Standard deviation of a touch by axis, if there are too few points to estimate it."""
+"""Standard deviation of a touch per axis, if there are too few points to estimate it."""
 MIRRORED = 1.0 / 3.0
-"""Factor of the misfit: axes that reduce it by this with one swap or one reversal are those of a mirrored space."""
+"""Factor of the misfit: if a swap or reversal of axes reduces the misfit by this, the space is mirrored."""
 ABOVE_M = 0.2
 Place = tuple[float, float, float]
 
 
 class Alignment(BaseModel):
-    """A tracker's space in the frame of an array: x_array = turn(x_tracker) + position_m.
+    """Pose of a tracker's space in the frame of an array: x_array = turn(x_tracker) + position_m.
 
-    position_m: the tracker's origin; quaternion: w first; points: number of touches; rms_m: misfit
-    touch_sd_m: of one touch by axis, from the misfit of 4 points or more, else TOUCH_SD_M
-    turn_sd_rad: of the rotation about its least certain axis; sd_m: of a place 0.2 m over the points' middle, all axes
-    off_plane_m: extent of the points across the plane that fits them best, from end to end; None in older files
+    position_m: origin of the tracker; quaternion: w first; points: number of touches; rms_m: misfit
+    touch_sd_m: standard deviation of a touch per axis, from the misfit of 4 points or more, else TOUCH_SD_M
+    turn_sd_rad: of the rotation about its least certain axis; sd_m: of a point 0.2 m above the points, all axes
+    off_plane_m: extent of the points normal to their best plane; None in older files
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -53,7 +53,7 @@ class Alignment(BaseModel):
 
     @property
     def transform(self) -> Transform:
-        """The tracker's space relative to the array."""
+        """Frame of the tracker relative to the array."""
         turn = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
         return Transform(np.array(self.position_m), turn)
 
@@ -66,7 +66,7 @@ class Alignment(BaseModel):
             else "assumed for three points, whose residuals carry little information"
         )
         flat = self.off_plane_m is not None and self.off_plane_m < LEAST_SPREAD_M
-        doubt = (
+        warning = (
             "\n"
             "the points lie in one plane, so left-handed axes of the tracker fit equally well: touch one more "
             f"point, {1e3 * LEAST_SPREAD_M:g} mm or more away from it"
@@ -77,13 +77,13 @@ class Alignment(BaseModel):
             f"{self.points} points, residual {1e3 * self.rms_m:.2f} mm rms; error of a touch "
             f"{1e3 * self.touch_sd_m:.2f} mm per axis ({source})\n"
             f"uncertainty (sd): {np.degrees(self.turn_sd_rad):.2f} degrees, and {1e3 * self.sd_m:.2f} mm at "
-            f"{1e3 * ABOVE_M:.0f} mm above the points{doubt if flat else ''}"
+            f"{1e3 * ABOVE_M:.0f} mm above the points{warning if flat else ''}"
         )
 
 
 @dataclass(frozen=True)
 class Touches:
-    """Touched places, in the array's frame and in the tracker's [m], shapes (n, 3)."""
+    """Touched points in the array frame and in the tracker frame [m], shapes (n, 3)."""
 
     array: Float
     tracker: Float
@@ -98,10 +98,10 @@ def read_touches(path: str | Path) -> Touches:
 
 
 def align(touches: Touches) -> Alignment:
-    """Fit the rotation and shift from the tracker's points to the array's, by least squares (Kabsch 1976).
+    """Fit rotation and shift from the tracker points to the array points, by least squares (Kabsch 1976).
 
-    Raises SceneError for fewer than three points, points in a line, points that fit far better with two of the
-    tracker's axes swapped or one reversed (detected only for points off one plane), and points that do not fit.
+    Raises SceneError for fewer than three points, points on a line, points that do not fit, and points that fit far
+    better with two axes of the tracker swapped or one reversed (detected only for points not in one plane).
     """
     count = len(touches.array)
     if count < FEWEST:
@@ -125,7 +125,7 @@ def align(touches: Touches) -> Alignment:
             f"the points are {1e3 * rms:.1f} mm from their positions (rms); allowed: {1e3 * LARGEST_MISS_M:g} mm: "
             "check their order and the unit of the tracker"
         )
-    # Three coordinates for each point, less six fitted numbers
+    # Three coordinates per point minus six fitted parameters
     free = 3 * count - 6
     touch = TOUCH_SD_M if count == FEWEST else float(np.sqrt((rest**2).sum() / free))
     around = touches.array - middle
@@ -163,12 +163,12 @@ def read_alignment(path: str | Path) -> Alignment:
 
 
 def write_alignment(path: str | Path, alignment: Alignment) -> None:
-    """Write an alignment that `read_alignment` reads back. Raises OutputError if that fails."""
+    """Write an alignment for `read_alignment`. Raises OutputError if it cannot be written."""
     write_text(path, alignment.model_dump_json(indent=1) + "\n")
 
 
 def _refuse_mirrored(touches: Touches, rms: float) -> None:
-    """A rotation turns any mirrored space into any other: of equally good changes, take that of least rotation."""
+    """Raise SceneError for mirrored axes. Of equally good swaps and reversals, name the one with the least rotation."""
     around, seen = (points - points.mean(axis=0) for points in (touches.array, touches.tracker))
     fits = []
     for first, second in ((0, 1), (0, 2), (1, 2), (0, 0), (1, 1), (2, 2)):
@@ -187,7 +187,7 @@ def _refuse_mirrored(touches: Touches, rms: float) -> None:
 
 
 def _spread(points: Float) -> float:
-    """Extent of points across the line that fits them best, from end to end [m]."""
+    """Return the extent of points normal to their best line [m]."""
     around = points - points.mean(axis=0)
     across = around @ np.linalg.svd(around, full_matrices=True)[2][1:].T
     return float(np.linalg.norm(np.ptp(across, axis=0)))

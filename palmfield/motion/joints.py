@@ -1,4 +1,4 @@
-"""The 26 hand joints of OpenXR (XR_EXT_hand_tracking), and their places in an articulated hand."""
+"""The 26 hand joints of OpenXR (XR_EXT_hand_tracking), and their positions in an articulated hand."""
 
 from dataclasses import dataclass
 
@@ -16,25 +16,25 @@ JOINTS = (
     *(f"thumb_{place}" for place in THUMB_PLACES),
     *(f"{digit}_{place}" for digit in DIGITS[1:] for place in FINGER_PLACES),
 )
-"""In the order of XrHandJointEXT. palm: middle of the middle finger's metacarpal; the others but the tips: the end
-nearer to the wrist of the named bone."""
+"""Joints in the order of XrHandJointEXT. palm is the middle of the metacarpal of the middle finger; the others, except
+the tips, are the end of the named bone nearer to the wrist."""
 ORIENTATION_VALID, POSITION_VALID, ORIENTATION_TRACKED, POSITION_TRACKED = 1, 2, 4, 8
 """Bits of XrSpaceLocationFlags."""
 ALL_FLAGS = ORIENTATION_VALID | POSITION_VALID | ORIENTATION_TRACKED | POSITION_TRACKED
 PALM_JOINTS = tuple(n for n, name in enumerate(JOINTS) if name in ("palm", "wrist") or name.endswith("metacarpal"))
 KNUCKLES = tuple(JOINTS.index(f"{digit}_proximal") for digit in DIGITS[1:])
 FARTHEST_M = 10.0
-"""Largest distance of a hand from a tracker: beyond it the unit is wrong."""
+"""Largest distance of a hand from a tracker; larger values indicate a wrong unit."""
 USUAL_M = (0.05, 0.4)
-"""Distance from the wrist to the tip of the middle finger of any hand."""
+"""Range of the distance from the wrist to the tip of the middle finger of a hand."""
 
 
 @dataclass(frozen=True)
 class HandJoints:
-    """OpenXR's joints of an articulated hand at rest, in the hand frame.
+    """Joints of OpenXR in an articulated hand at rest, in the hand frame.
 
-    bones: index of the bone that carries each, shape (26,); positions [m], shape (26, 3)
-    frames: orientation of each, columns x, y, z: -z along the bone to the tip, y to the back, shape (26, 3, 3)
+    bones: index of the bone that carries each joint, shape (26,); positions: [m], shape (26, 3)
+    frames: orientations with columns x, y, z, shape (26, 3, 3); -z is along the bone to the tip, y to the back
     radii: from the joint to the skin at its side [m], shape (26,)
     """
 
@@ -45,7 +45,7 @@ class HandJoints:
 
 
 def hand_joints(hand: ArticulatedHand) -> HandJoints:
-    """The joints of a hand at rest. Tips of fingers are those of the skin."""
+    """Return the joints of a hand at rest; tips are those of the skin."""
     skin = {part.name: part for part in hand.skeleton.skin}
     marks = hand.skeleton.landmarks
     middle = skin["middle_metacarpal"]
@@ -77,6 +77,6 @@ def hand_joints(hand: ArticulatedHand) -> HandJoints:
 
 
 def joints_at(hand: ArticulatedHand, joints: HandJoints, origins: Float, rotations: Float) -> Float:
-    """Positions [m], shape (26, 3), where the bones are at `origins` [m], shape (bones, 3), and `rotations`."""
+    """Return the positions of joints [m], shape (26, 3), for bones at `origins` [m], (bones, 3), and `rotations`."""
     arms = joints.positions - hand.origins[joints.bones]
     return origins[joints.bones] + np.einsum("jab,jb->ja", rotations[joints.bones], arms)

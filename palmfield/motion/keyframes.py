@@ -1,4 +1,4 @@
-"""A hand's motion through given poses at given times."""
+"""Motion of a hand through given poses at given times."""
 
 import math
 from bisect import bisect_right
@@ -19,19 +19,19 @@ from palmfield.types import Float
 class Curve:
     """A motion through poses: continuously differentiable, and at rest before the first and after the last.
 
-    Positions and angles are monotone cubics (Fritsch & Carlson 1980), so they remain between two neighbouring keys.
+    Positions and angles are monotone cubics (Fritsch & Carlson 1980), so they stay between neighbouring keys.
     Orientation is the cubic of Kim, Kim & Shin (1995, A general construction scheme for unit quaternion curves), with
-    the angular velocity at a key limited in the same way: equal keys are a rest.
+    the angular velocity at a key limited in the same way; between equal keys the hand rests.
     span_s: first and last time [s]
     """
 
     def __init__(
         self, joints: Sequence[str], times_s: Float, positions: Float, quaternions: Float, angles_deg: Float, rest: bool
     ) -> None:
-        """Checked values: times_s [s], shape (n,), rising, n >= 2; positions [m], shape (n, 3); quaternions, unit, w
-        first, shape (n, 4); angles_deg [deg], shape (n, joints).
+        """All values must be checked. times_s: rising [s], shape (n,), n >= 2; positions: [m], shape (n, 3);
+        quaternions: unit, w first, shape (n, 4); angles_deg: [deg], shape (n, joints).
 
-        rest: begin and end at rest, for a speed without jumps; else with the speed of the first and last two poses
+        rest: whether to begin and end at rest; if not, with the speed between the first and last two poses
         """
         self.span_s = float(times_s[0]), float(times_s[-1])
         self._joints = list(joints)
@@ -45,7 +45,7 @@ class Curve:
         self._turns = _turns(times_s, keys, rest).tolist()
 
     def __call__(self, time_s: float) -> HandPose:
-        """The pose at a time [s]."""
+        """Return the pose at a time [s]."""
         time = min(max(float(time_s), self.span_s[0]), self.span_s[1])
         n = min(max(bisect_right(self._knots, time) - 1, 0), len(self._knots) - 2)
         begin, end = self._knots[n], self._knots[n + 1]
@@ -62,7 +62,7 @@ class Curve:
 def _turned(
     quaternion: Sequence[float], shares: Sequence[float], turns: Sequence[Sequence[float]]
 ) -> tuple[float, float, float, float]:
-    """A rotation (w, x, y, z) followed, in its own axes, by shares of rotation vectors [rad], one after the other."""
+    """Return a rotation (w, x, y, z) followed, in body axes, by successive shares of rotation vectors [rad]."""
     w, x, y, z = quaternion
     for share, (a, b, c) in zip(shares, turns, strict=True):
         angle = math.sqrt(a * a + b * b + c * c)
@@ -79,7 +79,7 @@ def _turned(
 
 
 def _turns(times: Float, keys: Rotation, rest: bool) -> Float:
-    """Three rotation vectors for each interval whose shares make the curve, shape (n - 1, 3, 3) [rad]."""
+    """Return the three rotation vectors of each interval of the curve [rad], shape (n - 1, 3, 3)."""
     steps = np.diff(times)[:, None]
     speeds = (keys[:-1].inv() * keys[1:]).as_rotvec() / steps
     at_keys = np.zeros((len(times), 3))
@@ -104,11 +104,11 @@ def keyframes(
     quaternions: ArrayLike,
     poses: Sequence[Mapping[str, float] | str],
 ) -> Curve:
-    """A motion through keys, starting and ending at rest.
+    """Return a motion through keys that starts and ends at rest.
 
     times_s: rising [s], two or more, shape (n,)
-    positions: of the hand frame [m], shape (n, 3); quaternions: its orientations, w first, any length, shape (n, 4)
-    poses: n; names as in `named_pose`, or angles [deg] by joint, the others at rest
+    positions: of the hand frame [m], shape (n, 3); quaternions: orientations, w first, any length, shape (n, 4)
+    poses: n names as in `named_pose`, or angles [deg] by joint, with other joints at rest
     Raises SceneError for times that do not rise, other numbers of keys, numbers that are not finite, a quaternion of
     length 0, an unknown pose or joint, and an angle out of its range.
     """
@@ -126,7 +126,7 @@ def keyframes(
 
 
 def rising(times_s: ArrayLike, what: str) -> Float:
-    """The times [s] as float64, shape (n,). Raises SceneError unless they are finite, two or more, and rise."""
+    """Return the times [s] as float64, shape (n,). Raises SceneError unless they are finite, rising, two or more."""
     times = np.asarray(times_s, dtype=np.float64)
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or np.any(np.diff(times) <= 0.0):
         raise SceneError(f"{what}: times are {times.tolist()}; give two or more that rise [s]")

@@ -1,4 +1,4 @@
-"""Lines of JSON received over a socket, by UDP or TCP: the only input of a run from other programs."""
+"""Receive lines of JSON over a UDP or TCP socket, the only input of a run from other programs."""
 
 import json
 import logging
@@ -17,24 +17,24 @@ LOG = logging.getLogger(__name__)
 By = Literal["udp", "tcp"]
 LONGEST_LINE = 65536
 LOOK_S = 0.02
-"""Longest time between two checks of the sockets while this process runs."""
+"""Largest time between two checks of the sockets while this process runs."""
 STALE_S = 0.1
-"""Data that arrived earlier than this are not used."""
+"""Largest age of received data; older data are not used."""
 HELD_BACK, LINE_COSTS = 49152, 512
-"""Number of waiting bytes from which the sender's system may hold back more that are as old; and the system's memory
-for a line besides. Linux blocks a sender that is not read from 94 kB on, or from 142 lines of 50 bytes."""
+"""Number of queued bytes from which the system of the sender may queue further old bytes, and memory of the system per
+line. Linux blocks a sender that is not read at 94 kB, or at 142 lines of 50 bytes."""
 NEXT_SENDER_S = 1.0
-"""A UDP sender that was silent for this time may be replaced by another one."""
+"""Time of silence after which another sender may replace a UDP sender."""
 WAITING = 8
-"""Largest number of open TCP connections without a good line; one more closes the oldest."""
+"""Largest number of open TCP connections without a valid line; a further connection closes the oldest."""
 FOREIGN = "garbled", "keys", "convention"
-"""Kinds of errors of a first line that end its connection: the sender uses another protocol."""
-TOLD, TOLD_LENGTH = 5, 300
-"""Number of bad lines of a kind that are reported in words, and characters of each."""
+"""Errors of a first line that close its connection, because the sender uses another protocol."""
+REPORTED, REPORTED_LENGTH = 5, 300
+"""Number of invalid lines of a kind that are reported with their text, and number of characters of each."""
 
 
 class BadLine(ValueError):
-    """An unusable line. kind: of its error, in a word or two, for counting"""
+    """An invalid line. kind: kind of the error, for counts"""
 
     def __init__(self, kind: str, text: str) -> None:
         super().__init__(f"{kind}: {text}")
@@ -42,7 +42,7 @@ class BadLine(ValueError):
 
 
 def read_object(line: str | bytes) -> dict[str, Any]:
-    """The JSON object in a line; its numbers are floats, inf where they are too large. Raises BadLine: garbled."""
+    """Return the JSON object in a line, with numbers as floats, inf if too large. Raises BadLine: garbled."""
     try:
         value = json.loads(line.decode() if isinstance(line, bytes) else line, parse_int=float)
     except (ValueError, RecursionError, MemoryError) as error:
@@ -53,22 +53,22 @@ def read_object(line: str | bytes) -> dict[str, Any]:
 
 
 class LineListener(ABC):
-    """Reads the lines of one sender in a thread of its own. A context manager; a subclass defines what a line means.
+    """Context manager that reads the lines of one sender in a separate thread. A subclass processes the lines.
 
-    One sender is accepted, from its first good line on: by TCP until its connection ends, by UDP until it has been
-    silent for NEXT_SENDER_S. All others are refused. A connection whose first line is none of ours (an HTTP request of
-    a web page) is closed. Lines that waited for over STALE_S, while this process was stopped or starved, are skipped.
+    One sender is accepted from its first valid line on: with TCP until its connection ends, with UDP until it has been
+    silent for NEXT_SENDER_S. Other senders are refused. A connection with another protocol in its first line (for
+    example an HTTP request) is closed. Lines queued for more than STALE_S, while this process did not run, are skipped.
 
-    host, port, by: where it listens; taken: good lines so far
-    bad: how many lines of each kind were skipped; told: the first of each kind in words
+    host, port, by: address; taken: number of valid lines so far
+    bad: number of skipped lines of each kind; reported: text of the first errors of each kind
     """
 
     def __init__(self, host: str, port: int, by: By) -> None:
-        """port: 0 for any free one. Raises DeviceError for an address at which it cannot listen."""
+        """port: 0 for any free port. Raises DeviceError for an address at which it cannot listen."""
         refuse_unknown(DeviceError, "the protocol is {}", by, ("udp", "tcp"))
         self.by, self.taken = by, 0
         self.bad: Counter[str] = Counter()
-        self.told: list[str] = []
+        self.reported: list[str] = []
         self._ended, self._news = threading.Event(), threading.Condition()
         self._failed: BaseException | None = None
         self._sender, self._sent_s = "", 0.0
@@ -89,13 +89,13 @@ class LineListener(ABC):
 
     @abstractmethod
     def take(self, line: bytes, came_s: float) -> None:
-        """Use a line that arrived at a time of time.monotonic() [s]; called in the listening thread.
+        """Process a line that arrived at a time of time.monotonic() [s]; called in the listening thread.
 
         Raises BadLine; any other exception counts as a garbled line.
         """
 
     def check(self) -> None:
-        """Raises DeviceError if the listening thread has failed, so that lines are no longer read."""
+        """Raise DeviceError if the listening thread has failed, so that lines are no longer read."""
         if self._failed is not None:
             raise DeviceError(
                 f"receiving at {self.by} {self.host}:{self.port} has stopped: {type(self._failed).__name__}: "
@@ -103,7 +103,7 @@ class LineListener(ABC):
             )
 
     def wait(self, after: int, timeout_s: float) -> bool:
-        """Wait until more than so many good lines came; returns whether they did. Raises DeviceError as `check`."""
+        """Wait until more than `after` valid lines came; return whether they did. Raises DeviceError as `check`."""
         with self._news:
             self._news.wait_for(lambda: self.taken > after or self._failed is not None, timeout_s)
         self.check()
@@ -112,9 +112,9 @@ class LineListener(ABC):
     def skip(self, kind: str, text: str) -> None:
         """Count a skipped line."""
         self.bad[kind] += 1
-        if self.bad[kind] <= TOLD:
-            # Text from outside may contain control characters of a terminal, or characters that it cannot show
-            self.told.append("".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:TOLD_LENGTH]))
+        if self.bad[kind] <= REPORTED:
+            # The text may contain control characters of a terminal, or characters that the terminal cannot show
+            self.reported.append("".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:REPORTED_LENGTH]))
 
     def skipped(self) -> str:
         """Return the number of skipped lines of each kind, in brackets; "" for none."""
@@ -148,7 +148,7 @@ class LineListener(ABC):
         """Check all sockets repeatedly, and empty each of them."""
         begun_s = time.monotonic()
         while not self._ended.is_set():
-            # All were empty at some time after this: a limit for the age of data found now
+            # All sockets were empty at some time after this, which limits the age of data received now
             since_s, begun_s = begun_s, time.monotonic()
             for key, _ in self._open.select(LOOK_S):
                 one = self._socket_of(key)
@@ -193,7 +193,7 @@ class LineListener(ABC):
             for other in others[: len(others) + 1 - WAITING]:
                 self._hang_up(other)
             peer.setblocking(False)
-            # A sender whose cable was pulled must not block others for ever
+            # A sender with a broken connection must not block others for ever
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             for option, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):
                 if hasattr(socket, option):
@@ -203,7 +203,7 @@ class LineListener(ABC):
             self._read(peer, (name, rest), since_s)
 
     def _read(self, peer: socket.socket, of: tuple[str, bytearray], since_s: float) -> None:
-        """Read all data of a connection; text cut off at its end counts as a line too."""
+        """Read all data of a connection; an incomplete line at its end is treated as a line."""
         name, rest = of
         waited = 0
         while not self._ended.is_set():
@@ -234,7 +234,7 @@ class LineListener(ABC):
             self._sender = ""
 
     def _line(self, name: str, line: bytes, since_s: float) -> bool:
-        """Process a line, if allowed; returns whether its sender may continue."""
+        """Process a line if its sender is accepted; return whether the sender may continue."""
         if not line.strip():
             return True
         now = time.monotonic()
@@ -267,7 +267,7 @@ class LineListener(ABC):
 
     def _refuse(self, name: str) -> None:
         text = f"{name} is refused, because {self._sender} is already sending; allowed: one sender at a time"
-        if self.bad["second sender"] < TOLD:
+        if self.bad["second sender"] < REPORTED:
             LOG.warning(text)
         self.skip("second sender", text)
 

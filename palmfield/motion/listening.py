@@ -1,4 +1,4 @@
-"""A tracked hand received over a socket: lines of JSON by UDP or TCP; bad ones are counted and skipped."""
+"""Receive a tracked hand as lines of JSON over UDP or TCP; invalid lines are counted and skipped."""
 
 import math
 from collections.abc import Callable
@@ -11,28 +11,28 @@ from palmfield.motion.tracking import Stream
 from palmfield.motion.wire import Sample, read_sample
 
 JUMP_S, SURE = 1.0, 10
-"""Largest difference between the tracker's clock and this machine's from one sample to another. Beyond it the clock was
-set if this many in a row agree: one sample with a time far ahead would make all later ones late."""
+"""Largest change of the difference between the clocks of tracker and machine, and number of consecutive samples with a
+larger change that must agree before it is accepted as a clock that was set. A single sample far ahead is skipped."""
 
 
 class Arrived(NamedTuple):
-    """A good sample. time_s: of arrival, on the monotonic clock of this machine [s]"""
+    """A valid sample. time_s: arrival time on the monotonic clock of this machine [s]"""
 
     time_s: float
     sample: Sample
 
 
 class Listener(LineListener):
-    """Reads samples from a socket. Use as a context manager.
+    """Context manager that reads samples from a socket.
 
-    samples: good ones in the order of arrival, by rising times of the tracker
-    offset_s: from the tracker's clock to this machine's [s], by the sample with the shortest transport
+    samples: valid samples in the order of arrival, with rising times of the tracker
+    offset_s: from the clock of the tracker to that of this machine [s], by the sample with the shortest transport
     """
 
     def __init__(
         self, host: str = "127.0.0.1", port: int = 0, by: By = "udp", on_sample: Callable[[Arrived], None] | None = None
     ) -> None:
-        """port: 0 for any free one; on_sample: called in the listening thread with each good sample.
+        """port: 0 for any free port; on_sample: called in the listening thread with each valid sample.
 
         Raises DeviceError for an address at which it cannot listen.
         """
@@ -45,7 +45,7 @@ class Listener(LineListener):
         super().__init__(host, port, by)
 
     def stream(self) -> Stream:
-        """All good samples so far."""
+        """Return all valid samples so far."""
         taken = [arrived.sample for arrived in list(self.samples)]
         return Stream(
             np.array([one.time_s for one in taken]),
@@ -53,7 +53,7 @@ class Listener(LineListener):
         )
 
     def report(self) -> str:
-        """Return the numbers of used and skipped samples, in words."""
+        """Return the numbers of used and skipped samples as text."""
         return f"{self.taken} samples taken, {sum(self.bad.values())} skipped{self.skipped()}"
 
     def take(self, line: bytes, came_s: float) -> None:
@@ -68,7 +68,7 @@ class Listener(LineListener):
             last = self.samples[-1].sample.time_s
             raise BadLine("late", f"its time {sample.time_s:g} s is not after {last:g} s")
         if self._joints is not None and len(set(self._joints) - set(joints)) > len(self._joints) // 2:
-            raise BadLine("joints", f"{len(joints)} joints, where there were {len(self._joints)}")
+            raise BadLine("joints", f"{len(joints)} joints, but the samples before had {len(self._joints)}")
         self._joints = self._joints or joints
         arrived = self._before
         self.offset_s = min(self.offset_s, came_s - sample.time_s)
@@ -79,5 +79,5 @@ class Listener(LineListener):
 
 
 def _agree(one: Arrived, other: Arrived) -> bool:
-    """Whether the times between two samples by the tracker's clock and by this machine's agree to JUMP_S."""
+    """Return whether the times between two samples on the clocks of tracker and machine agree to JUMP_S."""
     return abs(other.sample.time_s - one.sample.time_s - (other.time_s - one.time_s)) < JUMP_S

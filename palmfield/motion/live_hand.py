@@ -25,8 +25,8 @@ PREDICT_S = 0.2
 
 
 class LivePose(NamedTuple):
-    """pose: in the world; arrived_s: arrival of its sample [s, monotonic clock]; sample_s: its time on the tracker's
-    clock [s], without extrapolation"""
+    """A live pose. pose: in the world; arrived_s: arrival of its sample [s, monotonic clock]; sample_s: time of the
+    sample on the tracker's clock [s], without extrapolation"""
 
     pose: HandPose
     arrived_s: float
@@ -34,10 +34,10 @@ class LivePose(NamedTuple):
 
 
 class LiveHand:
-    """Follows a tracker's samples in a thread of its own, by the newest sample. Use as a context manager.
+    """Context manager that follows the newest sample of a tracker in a separate thread.
 
-    listener: reads the samples; newest: the last pose, None before the palm's shape is estimated
-    fitted: number of samples fitted, and fit_s: time for each [s]
+    listener: reads the samples; newest: last pose, None before the shape of the palm is estimated
+    fitted: number of fitted samples; fit_s: time for each [s]
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class LiveHand:
         port: int = 0,
         by: By = "udp",
     ) -> None:
-        """to_world: the tracker's space in the world; ahead_s: extrapolation of each sample [s]
+        """to_world: frame of the tracker in the world; ahead_s: extrapolation of each sample [s]
 
         Raises DeviceError for an address at which it cannot listen.
         """
@@ -69,7 +69,7 @@ class LiveHand:
         self._thread.start()
 
     def wait(self, timeout_s: float) -> LivePose:
-        """The first pose. Raises SceneError if none comes in time, and for a hand of the other side."""
+        """Return the first pose. Raises SceneError if none comes in time, and for a hand of the other side."""
         end = time.monotonic() + timeout_s
         while time.monotonic() < end:
             self.check()
@@ -79,7 +79,7 @@ class LiveHand:
         raise SceneError(
             f"no hand was tracked within {timeout_s:g} s at {self.listener.by} "
             f"{self.listener.host}:{self.listener.port}: {self.listener.report()}"
-            + (f"; {self.listener.told[0]}" if self.listener.told else "")
+            + (f"; {self.listener.reported[0]}" if self.listener.reported else "")
         )
 
     def check(self) -> None:
@@ -150,8 +150,8 @@ class LiveHand:
                 self._palms.append((positions, valid))
             if len(self._palms) < PALM_SAMPLES:
                 return None
-            places, known = (np.array(part) for part in zip(*self._palms, strict=True))
-            self._follower = Follower(self._hand, places, known)
+            palms, flags = (np.array(part) for part in zip(*self._palms, strict=True))
+            self._follower = Follower(self._hand, palms, flags)
         if not fixes_palm(positions, valid):
             return None
         followed = self._follower.follow(positions, valid)

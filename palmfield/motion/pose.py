@@ -17,7 +17,7 @@ class HandPose:
 
     position: of the hand frame, the frame of the hand at rest (that of mocap body `hand_target` in
         `articulated_mjcf`) [m], shape (3,)
-    quaternion: its orientation, w first, unit length, shape (4,)
+    quaternion: orientation of the hand frame, w first, unit length, shape (4,)
     angles_deg: joint angles by name [deg]; other joints are at rest
     """
 
@@ -27,14 +27,14 @@ class HandPose:
 
 
 PoseCourse = Callable[[float], HandPose]
-"""Time [s] to pose. Those of palmfield have `span_s`, first and last time, outside which they are constant."""
+"""Function from time [s] to pose. Those of palmfield have `span_s`, first and last time, and are constant outside."""
 
 
 def checked_pose(pose: HandPose, where: str, hand: ArticulatedHand | None = None) -> HandPose:
-    """Return the pose with numbers as arrays and the quaternion at unit length.
+    """Return the pose with numbers as arrays and a unit quaternion.
 
-    where: begins the message of errors. Raises SceneError for a wrong shape, a number that is not finite, a quaternion
-    of length 0, and, if the hand is given, an unknown joint or one out of its range.
+    where: prefix of error messages. Raises SceneError for a wrong shape, a number that is not finite, a quaternion of
+    length 0, and, if `hand` is not None, an unknown joint or an angle outside its range.
     """
     position = numbers(pose.position, (3,), f"{where}: position")
     quaternion = unit_quaternions(pose.quaternion, (4,), f"{where}: quaternion")
@@ -52,7 +52,7 @@ def checked_pose(pose: HandPose, where: str, hand: ArticulatedHand | None = None
 
 
 def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> Float:
-    """The values as float64. Raises SceneError, beginning with `what`, unless they are finite and of that shape."""
+    """Return the values as float64. Raises SceneError, with prefix `what`, unless they are finite and of this shape."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -65,7 +65,7 @@ def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> Float:
 
 
 def unit_quaternions(values: ArrayLike, shape: tuple[int, ...], what: str) -> Float:
-    """As `numbers`, scaled to unit length along the last axis. Raises SceneError for a length of 0 as well."""
+    """Return `numbers` scaled to unit length along the last axis. Raises SceneError also for a length of 0."""
     array = numbers(values, shape, what)
     length = np.linalg.norm(array, axis=-1, keepdims=True)
     if np.any(length < 1e-6):

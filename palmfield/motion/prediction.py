@@ -17,11 +17,11 @@ Bool = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise model of tracker and hand, which determines the filter's gains.
+    """Noise model of tracker and hand, which determines the gains of the filter.
 
-    position_m, angle_rad: error of one packet; accel_m_s2, accel_rad_s2: acceleration of a joint between packets, each
-    as a standard deviation. At 90 packets a second the gains settle at 0.75 for position and 0.50 over the period for
-    speed, and at 0.67 and 0.36 over the period for orientation.
+    position_m, angle_rad: standard deviation of one packet; accel_m_s2, accel_rad_s2: standard deviation of the
+    acceleration of a joint between packets. At 90 packets/s the steady gains are 0.75 for position and 0.50/period for
+    speed; for orientation they are 0.67 and 0.36/period.
     """
 
     position_m: float = 0.0005
@@ -32,14 +32,13 @@ class Noise:
 
 @dataclass(frozen=True)
 class Resampled:
-    """A stream on a clock.
+    """A stream resampled to a clock.
 
-    stream: its times are clock + ahead_s
-    report: of the packets that went in
-    age_s: extrapolation of each joint from its last packet, held ones included, shape (clock, 26) [s]; inf before the
-        first
-    held: share of joint and clock times that were held because their last packet was too old
-    skipped: packets that came after a later one or were repeated, and were left out
+    stream: stream at the times clock + ahead_s
+    report: quality of the input packets
+    age_s: time of each joint since its last packet [s], shape (clock, 26); inf before the first packet
+    held: share of joints and clock times that are held because their last packet is too old
+    skipped: number of packets that were omitted because they were out of order or repeated
     """
 
     stream: Stream
@@ -50,9 +49,9 @@ class Resampled:
 
 
 class _Filter:
-    """Position or small rotation of each joint, with its speed: a Kalman filter for constant speed between packets.
+    """Kalman filter of position or small rotation and speed of each joint, for constant speed between packets.
 
-    The covariance is the same for all axes of a joint. Bar-Shalom, Li & Kirubarajan (2001), Estimation with
+    The covariance is equal for all axes of a joint. Bar-Shalom, Li & Kirubarajan (2001), Estimation with
     Applications to Tracking and Navigation, section 6.3.2: discrete white-noise acceleration.
     """
 
@@ -62,7 +61,7 @@ class _Filter:
         self._p = np.zeros((n, 3))
 
     def start(self, which: Bool) -> None:
-        """Start joints seen for the first time, or again after a gap."""
+        """Initialise joints with their first packet, or with the first packet after a gap."""
         self.speed[which] = 0.0
         self._p[which] = self._noise2, 0.0, self._first_speed2
 
@@ -77,12 +76,12 @@ class _Filter:
 
 
 class Predictor:
-    """Predicts joints from the packets so far, for any time after the last one."""
+    """Predicts joints at any time after the last packet from the packets so far."""
 
     def __init__(self, noise: Noise, predict_s: float, n: int = len(JOINTS)) -> None:
-        """predict_s: how long a joint without packets moves on at its speed before it is held [s]
+        """predict_s: time for which a joint without packets moves on at its speed before it is held [s]
 
-        n: number of joints, or of other tracked frames
+        n: number of joints or other tracked frames
         """
         self._predict_s = predict_s
         self._place = _Filter(n, noise.position_m, noise.accel_m_s2, 1.0)
@@ -94,15 +93,15 @@ class Predictor:
         self._turned_s = np.full(n, -np.inf)
 
     def add(self, time_s: float, position: Float, quaternion: Float, radius: Float, flags: Int) -> None:
-        """Add one packet, whose time is after that of the one before."""
+        """Add one packet; times of packets must rise."""
         valid = (flags & POSITION_VALID) != 0
         new = valid & (time_s - self._placed_s > self._predict_s)
-        known = valid & ~new
-        dt = (time_s - self._placed_s[known])[:, None]
-        guess = self._position[known] + self._place.speed[known] * dt
-        gain, gain_speed = self._place.advance(known, dt[:, 0])
-        self._position[known] = guess + gain * (position[known] - guess)
-        self._place.speed[known] += gain_speed * (position[known] - guess)
+        started = valid & ~new
+        dt = (time_s - self._placed_s[started])[:, None]
+        guess = self._position[started] + self._place.speed[started] * dt
+        gain, gain_speed = self._place.advance(started, dt[:, 0])
+        self._position[started] = guess + gain * (position[started] - guess)
+        self._place.speed[started] += gain_speed * (position[started] - guess)
         self._position[new] = position[new]
         self._place.start(new)
         self._radius[valid] = radius[valid]
@@ -111,34 +110,34 @@ class Predictor:
 
     def _add_turn(self, time_s: float, quaternion: Float, valid: Bool) -> None:
         new = valid & (time_s - self._turned_s > self._predict_s)
-        known = valid & ~new
-        if known.any():
-            dt = (time_s - self._turned_s[known])[:, None]
-            guess = product(of_turns(self._turn.speed[known] * dt), self._orientation[known])
-            miss = turns_of(product(unit(quaternion[known]), inverse(guess)))
-            gain, gain_speed = self._turn.advance(known, dt[:, 0])
-            self._orientation[known] = unit(product(of_turns(gain * miss), guess))
-            self._turn.speed[known] += gain_speed * miss
+        started = valid & ~new
+        if started.any():
+            dt = (time_s - self._turned_s[started])[:, None]
+            guess = product(of_turns(self._turn.speed[started] * dt), self._orientation[started])
+            miss = turns_of(product(unit(quaternion[started]), inverse(guess)))
+            gain, gain_speed = self._turn.advance(started, dt[:, 0])
+            self._orientation[started] = unit(product(of_turns(gain * miss), guess))
+            self._turn.speed[started] += gain_speed * miss
         self._orientation[new] = unit(quaternion[new])
         self._turn.start(new)
         self._turned_s[valid] = time_s
 
     def frames(self, time_s: float) -> tuple[Float, Float]:
         """Return positions [m], shape (n, 3), and orientations (w, x, y, z), shape (n, 4), at a time [s]."""
-        # A joint that was never seen has had a gap since minus infinity, and its speed is 0
+        # A joint without packets has an infinite gap and speed 0
         ahead = np.where(np.isfinite(self._placed_s), np.minimum(time_s - self._placed_s, self._predict_s), 0.0)
         ahead_turn = np.where(np.isfinite(self._turned_s), np.minimum(time_s - self._turned_s, self._predict_s), 0.0)
         positions = self._position + self._place.speed * ahead[:, None]
         return positions, product(of_turns(self._turn.speed * ahead_turn[:, None]), self._orientation)
 
     def at(self, time_s: float) -> tuple[Float, Float, Float, Int, Float]:
-        """Positions, quaternions (w first), radii, flags and ages [s] of the joints at a time [s]."""
+        """Return positions, quaternions (w first), radii, flags and ages [s] of the joints at a time [s]."""
         positions, turned = self.frames(time_s)
         age = time_s - self._placed_s
-        known, known_turn = np.isfinite(self._placed_s), np.isfinite(self._turned_s)
+        seen, seen_turn = np.isfinite(self._placed_s), np.isfinite(self._turned_s)
         # The flag `tracked` is only for joints that need no extrapolation over a gap.
-        fresh, fresh_turn = known & (age <= self._predict_s), known_turn & (time_s - self._turned_s <= self._predict_s)
-        flags = POSITION_VALID * known + ORIENTATION_VALID * known_turn
+        fresh, fresh_turn = seen & (age <= self._predict_s), seen_turn & (time_s - self._turned_s <= self._predict_s)
+        flags = POSITION_VALID * seen + ORIENTATION_VALID * seen_turn
         flags = flags + POSITION_TRACKED * fresh + ORIENTATION_TRACKED * fresh_turn
         return positions, turned, self._radius, flags, age
 
@@ -146,12 +145,12 @@ class Predictor:
 def resample(
     stream: Stream, clock_s: ArrayLike, ahead_s: float = 0.0, predict_s: float = 0.1, noise: Noise | None = None
 ) -> Resampled:
-    """Predict the hand `ahead_s` [s] after each time of a clock [s], shape (n,), rising.
+    """Predict the hand `ahead_s` [s] after each time of a rising clock [s], shape (n,).
 
-    Only packets up to then count; one that comes after a later one is left out, as the filter cannot go back. A joint
-    without packets moves at its last speed until `predict_s` [s] after its last one, ahead_s included. Then it is held,
-    flagged as valid but not as tracked; a packet after such a gap restarts it. Before its first packet it is not valid.
-    Raises SceneError for a wrong stream, a clock that does not rise, and negative times.
+    Only packets up to the clock time are used; packets out of order are omitted. A joint without packets moves at its
+    last speed until `predict_s` [s] after its last packet, including ahead_s. Then it is held and flagged as valid but
+    not as tracked; the next packet restarts its filter. Before its first packet a joint is not valid.
+    Raises SceneError for an invalid stream, a clock that does not rise, and negative times.
     """
     checked = checked_stream(stream, "tracking stream")
     clock = rising(clock_s, "tracking clock")
@@ -171,7 +170,7 @@ def resample(
             n += 1
         rows.append(filtered.at(float(now) + ahead_s))
     positions, quaternions, radii, flags, age = (np.array(part) for part in zip(*rows, strict=True))
-    known = np.isfinite(age)
-    held = float(np.mean(age[known] > predict_s)) if known.any() else 0.0
+    started = np.isfinite(age)
+    held_share = float(np.mean(age[started] > predict_s)) if started.any() else 0.0
     on_clock = Stream(clock + ahead_s, positions, quaternions, radii, flags.astype(np.int32))
-    return Resampled(on_clock, stream_report(checked), age, held, int(np.count_nonzero(~in_time)))
+    return Resampled(on_clock, stream_report(checked), age, held_share, int(np.count_nonzero(~in_time)))

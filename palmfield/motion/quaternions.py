@@ -1,15 +1,15 @@
-"""Unit quaternions (w, x, y, z) as rows of an array, for a few at a time: SciPy's rotations take 20 us a call."""
+"""Unit quaternions (w, x, y, z) as rows of an array, for small numbers; SciPy's rotations take 20 us per call."""
 
 import numpy as np
 
 from palmfield.types import Float
 
 SMALL_RAD = 1e-3
-"""Below this a series is exact to rounding, unlike the quotient."""
+"""Angle below which a series is used, whose error is that of rounding, instead of a quotient."""
 
 
 def product(a: Float, b: Float) -> Float:
-    """Return rotations by b first and by a then, shape (n, 4)."""
+    """Return the rotations by b followed by a, shape (n, 4)."""
     aw, ax, ay, az = a.T
     bw, bx, by, bz = b.T
     result = np.empty_like(b)
@@ -31,7 +31,7 @@ def unit(q: Float) -> Float:
 
 
 def of_turns(turns: Float) -> Float:
-    """Rotations about axes by their lengths [rad], shape (n, 3), as quaternions, shape (n, 4)."""
+    """Return the quaternions, shape (n, 4), of rotation vectors [rad], shape (n, 3)."""
     square = np.einsum("ij,ij->i", turns, turns)
     angle = np.sqrt(square)
     small = angle < SMALL_RAD
@@ -43,7 +43,7 @@ def of_turns(turns: Float) -> Float:
 
 
 def turns_of(q: Float) -> Float:
-    """The shortest rotation vectors [rad], shape (n, 3), of quaternions, shape (n, 4)."""
+    """Return the shortest rotation vectors [rad], shape (n, 3), of quaternions, shape (n, 4)."""
     axis = q[:, 1:]
     angle = 2.0 * np.arctan2(np.sqrt(np.einsum("ij,ij->i", axis, axis)), np.abs(q[:, 0]))
     small = angle < SMALL_RAD
@@ -54,7 +54,7 @@ def turns_of(q: Float) -> Float:
 
 
 def matrices(q: Float) -> Float:
-    """Axes as columns, shape (n, 3, 3), of quaternions, shape (n, 4)."""
+    """Return rotation matrices, shape (n, 3, 3), of quaternions, shape (n, 4)."""
     w, x, y, z = q.T
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
     result = np.empty((len(q), 3, 3))

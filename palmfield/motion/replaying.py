@@ -1,4 +1,4 @@
-"""Send a recorded hand in place of a tracker, in real time."""
+"""Send a recorded hand in real time, in place of a tracker."""
 
 import socket
 import time
@@ -22,11 +22,11 @@ def address(text: str) -> tuple[str, int]:
 
 
 def address_by(text: str) -> tuple[str, int, By]:
-    """As `address`, with `tcp:` or `udp:` before it; without, udp. Raises DeviceError for anything else."""
+    """Parse an `address` after `tcp:` or `udp:`, default udp. Raises DeviceError for anything else."""
     kind, colon, rest = text.partition(":")
-    given = kind in ("tcp", "udp") and colon
-    host, port = address(rest if given else text)
-    return host, port, "tcp" if given and kind == "tcp" else "udp"
+    named = kind in ("tcp", "udp") and colon
+    host, port = address(rest if named else text)
+    return host, port, "tcp" if named and kind == "tcp" else "udp"
 
 
 def replay(
@@ -39,10 +39,10 @@ def replay(
     repeat: int = 1,
     stamp: bool = False,
 ) -> int:
-    """Send each packet at its time; returns the number of packets sent.
+    """Send each packet at its time; return the number of sent packets.
 
-    speed: 2 for twice as fast; repeat: number of times that the recording is sent
-    stamp: whether samples have the time of sending, on this machine's monotonic clock, instead of their own
+    speed: factor of the speed; repeat: number of times that the recording is sent
+    stamp: whether to replace the times of samples by the sending times on the monotonic clock of this machine
     Raises DeviceError if there is no receiver, and for a speed or number out of range.
     """
     if not 0.01 <= speed <= 100.0:

@@ -1,4 +1,4 @@
-"""Transfer a tracked hand's motion to an articulated hand of other size."""
+"""Transfer the motion of a tracked hand to an articulated hand of another size."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -34,7 +34,7 @@ CHAINS = tuple(
 """Joints of each digit from its root, which is fixed in the palm, to its tip."""
 PALM_ROUNDS = 20
 TO_BEFORE_m_deg = 2e-5
-"""Weight of the frame before: a degree counts as 0.02 mm, which matters only for angles that the joints leave open."""
+"""Weight of the angles of the frame before, 0.02 mm per degree; it affects only angles that the joints leave free."""
 FEWEST_PALM_JOINTS, LEAST_SPREAD_m = 4, 0.01
 
 
@@ -42,12 +42,12 @@ FEWEST_PALM_JOINTS, LEAST_SPREAD_m = 4, 0.01
 class RetargetReport:
     """Quality of the fit.
 
-    frames: fitted; skipped: those whose valid joints do not determine the palm's orientation
-    scale_across, scale_along: size of our palm to the tracked one, across and along
-    tip_rms_m, tip_max_m: distance of our fingertips from the targets, which have the tracked bones' directions with our
-        bones' lengths, both in the palm's frame, over valid tips [m]
-    palm_rms_m: deviation of the tracked palm's joints from a rigid palm [m]
-    at_limit: share of joints and frames at the end of the joint's range
+    frames: number of fitted frames; skipped: frames whose valid joints do not determine the orientation of the palm
+    scale_across, scale_along: size of our palm over that of the tracked palm, across and along
+    tip_rms_m, tip_max_m: distance of our fingertips from their targets in the frame of the palm, over valid tips [m];
+        targets have the directions of the tracked bones and the lengths of our bones
+    palm_rms_m: deviation of the joints of the tracked palm from a rigid palm [m]
+    at_limit: share of joints and frames at the end of the range of the joint
     """
 
     frames: int
@@ -61,7 +61,7 @@ class RetargetReport:
 
 
 class Retargeted:
-    """A motion made of a tracking stream. report: quality of the fit; span_s: first and last time [s]."""
+    """A motion from a tracking stream. report: quality of the fit; span_s: first and last time [s]."""
 
     def __init__(self, curve: Curve, report: RetargetReport) -> None:
         self._curve = curve
@@ -76,12 +76,12 @@ class Retargeted:
 def retarget(hand: ArticulatedHand, stream: Stream) -> Retargeted:
     """Return the motion of `hand` that follows a tracked hand of the same side.
 
-    Bones' lengths differ, so no hand can match all tracked joints. Our wrist is at the tracked one. Our palm has the
-    orientation of the tracked palm, compared after scaling that one across and along to ours. Each digit's joints and
-    tip are fitted, within the joints' ranges, to the tracked bones' directions with our bones' lengths. The forearm
-    continues the hand, as OpenXR's joints do not contain the bend of the wrist. Orientations and radii are not used.
-    Packets are sorted; between them, as `Curve`.
-    Raises SceneError for a wrong stream, one of the other side's hand, and one with fewer than two frames to fit.
+    The lengths of bones differ, so not all tracked joints can be matched. Our wrist is at the tracked wrist. Our palm
+    has the orientation of the tracked palm, which is first scaled across and along to ours. Joints and tip of each
+    digit are fitted, within the ranges of the joints, to targets with the directions of the tracked bones and the
+    lengths of our bones. The forearm continues the hand, because the joints of OpenXR do not contain the flexion of the
+    wrist. Orientations and radii are not used. Packets are sorted and interpolated by `Curve`.
+    Raises SceneError for an invalid stream, a hand of the other side, and fewer than two frames to fit.
     """
     packets = ordered(checked_stream(stream, "tracking stream"))
     valid = (packets.flags & POSITION_VALID) != 0
@@ -127,10 +127,10 @@ class Followed(NamedTuple):
 
 
 class Follower:
-    """Fits a hand to one packet after another. names: of its joints; scales: of our palm to theirs, across and along"""
+    """Fits a hand to successive packets. names: joint names; scales: our palm over the tracked one, across and along"""
 
     def __init__(self, hand: ArticulatedHand, positions: Float, valid: Bool) -> None:
-        """positions: of packets for the palm's shape [m], shape (n, 26, 3); valid: flags, (n, 26).
+        """positions: joints of packets for the shape of the palm [m], shape (n, 26, 3); valid: flags, (n, 26).
 
         Raises SceneError for a hand of the other side, and if no packet has all joints of the palm.
         """
@@ -149,11 +149,11 @@ class Follower:
         seen = valid[self._rigid]
         turn, shift = _rigid(self._palm[seen], positions[self._rigid][seen])
         palm_misses = self._palm[seen] @ turn.T + shift - positions[self._rigid][seen]
-        # Digits begin at the fitted palm: less noise than at single knuckles, and defined if one is lost.
-        joints, known = positions.copy(), valid.copy()
-        joints[self._rigid], known[self._rigid] = self._palm @ turn.T + shift, True
+        # Digits begin at the fitted palm, which has less noise than single knuckles and is defined if one is lost.
+        joints, present = positions.copy(), valid.copy()
+        joints[self._rigid], present[self._rigid] = self._palm @ turn.T + shift, True
         steps = np.diff(joints[self._chains], axis=1) @ turn
-        both = known[self._chains[:, 1:]] & known[self._chains[:, :-1]]
+        both = present[self._chains[:, 1:]] & present[self._chains[:, :-1]]
         self._before, tip_misses = self._fit.angles(steps, both, self._before)
         place = joints[JOINTS.index("wrist")] - turn @ self._wrist
         quaternion = Rotation.from_matrix(turn).as_quat(scalar_first=True)
@@ -165,31 +165,31 @@ class Follower:
 
 
 def fixes_palm(positions: Float, valid: Bool) -> bool:
-    """Whether a packet, shapes (26, 3) [m] and (26,), determines the palm's orientation."""
+    """Return whether a packet, shapes (26, 3) [m] and (26,), determines the orientation of the palm."""
     rigid = np.array(RIGID)
     return _fixes_palm(positions[rigid][valid[rigid]])
 
 
 def _fixes_palm(points: Float) -> bool:
-    """Whether joints of the palm, shape (n, 3) [m], determine its orientation."""
+    """Return whether joints of the palm, shape (n, 3) [m], determine its orientation."""
     if len(points) < FEWEST_PALM_JOINTS:
         return False
     return bool(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] > LEAST_SPREAD_m)
 
 
 def _rigid(start: Float, end: Float) -> tuple[Float, Float]:
-    """Fit rotation and shift from points to others, by least squares (Kabsch 1976)."""
+    """Fit rotation and shift between two sets of points, by least squares (Kabsch 1976)."""
     middle_start, middle_end = start.mean(axis=0), end.mean(axis=0)
     turn = Rotation.align_vectors(end - middle_end, start - middle_start)[0].as_matrix()
     return turn, middle_end - turn @ middle_start
 
 
 def _palm_of(positions: Float, valid: Bool) -> Float:
-    """Return the mean shape of the tracked palm's joints [m], shape (joints, 3), in the frame of one of the packets."""
+    """Return the mean positions of the tracked palm joints [m], shape (joints, 3), in the frame of one packet."""
     fullest = int(np.argmax(np.count_nonzero(valid, axis=1)))
-    shape, known = positions[fullest].copy(), valid[fullest]
-    if not known.all():
-        absent = JOINTS[RIGID[int(np.argmin(known))]]
+    shape, present = positions[fullest].copy(), valid[fullest]
+    if not present.all():
+        absent = JOINTS[RIGID[int(np.argmin(present))]]
         raise SceneError(
             f"hand retargeting: no packet has all palm joints; {absent} is missing; give a packet with all of them"
         )
@@ -211,7 +211,7 @@ def _palm_in_our_frame(ours: Float, theirs: Float) -> tuple[Float, Float]:
     target, centred = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
     turned, scales, miss = _turned_and_scaled(target, centred)
     mirrored = _turned_and_scaled(target * np.array([-1.0, 1.0, 1.0]), centred)[2]
-    # A nearly flat palm also resembles its mirror image, and must not be refused for its noise.
+    # A nearly flat palm also fits its mirror image, and must not be refused because of noise.
     if mirrored < 0.5 * miss:
         raise SceneError(
             f"hand retargeting: the tracked palm is {1e3 * miss:.2g} mm from that of the hand, and "
@@ -224,7 +224,7 @@ def _turned_and_scaled(target: Float, centred: Float) -> tuple[Float, Float, flo
     """Return `centred` rotated to `target`, the scales across and along, and the remaining rms distance [m]."""
     scales = np.ones(2)
     for _ in range(PALM_ROUNDS):
-        # Rotate theirs to ours scaled to their size, then find the remaining scales.
+        # Rotate the tracked palm to ours scaled to its size, then compute the remaining scales.
         turned = Rotation.align_vectors(target / scales[[0, 1, 0]], centred)[0].apply(centred)
         across, along = turned[:, [0, 2]], turned[:, 1]
         ratios = np.array(
@@ -236,9 +236,9 @@ def _turned_and_scaled(target: Float, centred: Float) -> tuple[Float, Float, flo
 
 
 class _Placed(NamedTuple):
-    """The hand at some angles. origins: of bones [m], shape (bones, 3); rotations: shape (bones, 3, 3)
+    """The posed hand. origins: of bones [m], shape (bones, 3); rotations: shape (bones, 3, 3)
 
-    joints: and tip beyond the root of each digit [m], shape (5, 3, 3)
+    joints: joints and tip beyond the root of each digit [m], shape (5, 3, 3)
     """
 
     origins: Float
@@ -261,7 +261,7 @@ class _Fit:
         hinges = [hand.joints[n] for n in self._moving]
         self._axes = np.deg2rad(1.0) * np.array([joint.axis for joint in hinges])
         self._bones = np.array([joint.bone for joint in hinges])
-        # Of two joints of a bone the outer one, abduction, rotates with the bone before it.
+        # The outer of two joints of a bone (abduction) rotates with the bone before it.
         outer = [joint.name.endswith("_abduction") for joint in hinges]
         self._turned_with = np.where(outer, [hand.bones[bone].parent for bone in self._bones], self._bones)
         self._digits = np.array([DIGITS.index(joint.name.split("_")[0]) for joint in hinges])
@@ -274,28 +274,28 @@ class _Fit:
     def angles(self, steps: Float, valid: Bool, before: Float) -> tuple[Float, Float]:
         """Return angles of all joints [deg], shape (joints,), and the misses of the valid tips [m].
 
-        steps: the tracked digits' bones in the palm's frame, from joint to joint, shape (5, 3, 3) [m]
+        steps: tracked bones of the digits in the frame of the palm, from joint to joint [m], shape (5, 3, 3)
         valid: whether both ends are valid, shape (5, 3); before: angles of the frame before [deg]
         """
         long = np.linalg.norm(steps, axis=2, keepdims=True)
         usable = valid & (long[:, :, 0] > 1e-4)
         onward = steps / np.where(usable[:, :, None], long, 1.0)
-        # A joint counts if all bones from the palm to it are valid.
-        known = np.logical_and.accumulate(usable, axis=1)
+        # A joint is fitted if all bones from the palm to it are valid.
+        used = np.logical_and.accumulate(usable, axis=1)
         roots = self._joints.positions[self._chains[:, 0]]
         targets = roots[:, None] + np.cumsum(self._lengths[:, :, None] * onward, axis=1)
         start = np.clip(before[self._moving], self._low, self._high)
 
-        # The solver requests misses and slopes of the same angles in turn
+        # Cached, because the solver evaluates misses and slopes at the same angles
         at = lru_cache(maxsize=1)(lambda angles: self._placed(np.frombuffer(angles)))
 
         def misses(x: Float) -> Float:
             parts = at(x.tobytes()).joints - targets
-            return np.concatenate([(parts * known[:, :, None]).ravel(), TO_BEFORE_m_deg * (x - start)])
+            return np.concatenate([(parts * used[:, :, None]).ravel(), TO_BEFORE_m_deg * (x - start)])
 
         def slopes(x: Float) -> Float:
             return np.concatenate(
-                [self._slopes(at(x.tobytes())) * np.repeat(known.ravel(), 3)[:, None], TO_BEFORE_m_deg * np.eye(len(x))]
+                [self._slopes(at(x.tobytes())) * np.repeat(used.ravel(), 3)[:, None], TO_BEFORE_m_deg * np.eye(len(x))]
             )
 
         scale = np.full(len(start), 10.0)
@@ -303,7 +303,7 @@ class _Fit:
             misses, start, slopes, bounds=(self._low, self._high), x_scale=scale, xtol=1e-6, ftol=1e-6
         )
         x = np.clip(solution.x, self._low, self._high)
-        tips = np.linalg.norm(at(x.tobytes()).joints[:, -1] - targets[:, -1], axis=1)[known[:, -1]]
+        tips = np.linalg.norm(at(x.tobytes()).joints[:, -1] - targets[:, -1], axis=1)[used[:, -1]]
         return self._all(x), tips
 
     def at_limit(self, angles: Float) -> float:
@@ -322,7 +322,7 @@ class _Fit:
         return _Placed(origins, rotations, joints)
 
     def _slopes(self, at: _Placed) -> Float:
-        """Derivatives of the joints' places by the angles [m/deg], shape (45, moving)."""
+        """Return the derivatives of joint positions by angles [m/deg], shape (45, moving)."""
         axes = np.einsum("nab,nb->na", at.rotations[self._turned_with], self._axes)
         arms = at.joints[self._digits] - at.origins[self._bones][:, None]
         count = len(self._moving)

@@ -1,4 +1,4 @@
-"""The motion of a scene's keys, from a file or function."""
+"""Motion of the keys of a scene, from a file or function."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.config import MotionConfig
 from palmfield.errors import SceneError, naming
+from palmfield.given_files import read_toml, reading
 from palmfield.hand.articulated import ArticulatedHand, articulate, checked_angles
 from palmfield.hand.poses import named_pose, posed_surface
 from palmfield.hand.preset import HandPreset, load_preset
 from palmfield.hand.skinning import SkinnedHand
-from palmfield.input_files import read_toml, reading
 from palmfield.motion.alignment import read_alignment
 from palmfield.motion.keyframes import keyframes
 from palmfield.motion.pose import HandPose, numbers
@@ -26,14 +26,14 @@ from palmfield.motion.trajectory import from_callable, read_trajectory
 from palmfield.transforms import IDENTITY, Transform
 
 FARTHEST_m = 10.0
-"""Largest distance of a hand from an array: beyond it the unit is wrong."""
+"""Largest distance of a hand from an array; larger values indicate a wrong unit."""
 KEY_FIELDS = ("time_s", "position_m", "quaternion", "turn_deg", "pose", "joints_deg")
 DEFAULT_HAND = "open_men_p50"
 
 
 @dataclass(frozen=True)
 class HandMotion:
-    """Motion of a hand. hand: its joints, None for a hand in one piece; at: pose at a time of the scene [s]"""
+    """Motion of a hand. hand: articulated hand, None for a rigid hand; at: function from scene time [s] to pose"""
 
     hand: ArticulatedHand | None
     at: Callable[[float], HandPose]
@@ -63,10 +63,10 @@ def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
 def tracker_frame(
     array: Transform, alignment: str | Path | None, up: str | None, origin_m: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> Transform:
-    """The tracker's space in the world of a scene whose first array is at `array`.
+    """Return the frame of a tracker in the world of a scene whose first array is at `array`.
 
-    alignment: file of `palmfield track align`; without it the tracker's origin is at `origin_m` [m], and `up` is its
-        axis that points up. Raises SceneError for an alignment that cannot be read.
+    alignment: file of `palmfield track align`; without it the origin of the tracker is at `origin_m` [m], and `up` is
+        its vertical axis. Raises SceneError for an alignment that cannot be read.
     """
     if alignment is not None:
         position, rotation = read_alignment(alignment).transform
@@ -76,7 +76,7 @@ def tracker_frame(
 
 
 def _tracked(config: MotionConfig, array: Transform) -> Stream:
-    """Return the recorded stream in the world of the scene; with ahead_s as a live system would predict it."""
+    """Return the recorded stream in the world of the scene, with the prediction of a live system if ahead_s is set."""
     assert config.tracking is not None
     stream = read_stream(config.tracking)
     frame = tracker_frame(array, config.tracking_alignment, config.tracking_up, config.tracking_origin_m)
@@ -97,7 +97,7 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
     """Read a TOML file of [[key]] tables: time_s, position_m, and optional quaternion (w, x, y, z) or turn_deg
     (rotation vector), pose (by name) and joints_deg (angles that differ from it).
 
-    preset: an articulated hand's, whose skin must not cross itself at any key; None for a hand in one piece
+    preset: name of an articulated hand, whose skin must not intersect itself at any key; None for a rigid hand
     Raises SceneError with the number of the key and the field.
     """
     with reading(f"keyframes {path}", SceneError, "a TOML file of tables [[key]]"):
@@ -136,8 +136,8 @@ def _turn(key: Mapping[str, Any], where: str) -> list[float]:
     if "quaternion" in key and "turn_deg" in key:
         raise SceneError(f"{where}: quaternion and turn_deg both set the rotation; give one")
     if "turn_deg" not in key:
-        given: list[float] = numbers(key.get("quaternion", [1.0, 0.0, 0.0, 0.0]), (4,), f"{where}: quaternion").tolist()
-        return given
+        wxyz: list[float] = numbers(key.get("quaternion", [1.0, 0.0, 0.0, 0.0]), (4,), f"{where}: quaternion").tolist()
+        return wxyz
     turn = numbers(key["turn_deg"], (3,), f"{where}: turn_deg")
     quaternion: list[float] = Rotation.from_rotvec(turn, degrees=True).as_quat(scalar_first=True).tolist()
     return quaternion
@@ -163,7 +163,7 @@ def _check_skin(path: Path, preset: str, poses: list[dict[str, float]]) -> None:
 
 @lru_cache(maxsize=256)
 def _fault(hand: str, pose: tuple[tuple[str, float], ...]) -> str:
-    """Why the skin of a preset, given as JSON, can't take a pose, "" where it can; kept for scenes opened again."""
+    """Return why the skin of a preset (JSON) does not allow a pose, or ""; cached for scenes that are opened again."""
     try:
         posed_surface(_skinned(hand), dict(pose))
     except SceneError as error:

@@ -1,4 +1,4 @@
-"""A recorded stream of OpenXR's 26 hand joints: read, write, and assess it."""
+"""Read, write and assess a recorded stream of the 26 hand joints of OpenXR."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,18 +26,18 @@ from palmfield.types import Float, Int
 
 PARTS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "radius_m", "flags")
 GAP = 1.5
-"""A time between packets of more than this many usual ones is a dropout."""
+"""Smallest time between packets, in usual periods, that is a dropout."""
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Packets of tracked joints in the order in which they came.
+    """Packets of tracked joints in the order of arrival.
 
-    times_s: when each was taken [s], shape (n,), not always rising
+    times_s: times of measurement [s], shape (n,), not always rising
     positions: of JOINTS in the world [m], shape (n, 26, 3)
-    quaternions: their orientations, w first (OpenXR itself puts it last), shape (n, 26, 4)
+    quaternions: orientations, w first (last in OpenXR), shape (n, 26, 4)
     radii: [m], shape (n, 26)
-    flags: XrSpaceLocationFlags, shape (n, 26); joints not flagged as valid count as absent, with any numbers
+    flags: XrSpaceLocationFlags, shape (n, 26); joints not flagged as valid are ignored and may have any numbers
     """
 
     times_s: Float
@@ -54,12 +54,12 @@ class Stream:
 class StreamReport:
     """Quality of a stream.
 
-    packets: their number; period_s: the usual time between two, the median [s]; jitter_s: standard deviation about it,
+    packets: number of packets; period_s: median time between two packets [s]; jitter_s: standard deviation about it,
         without dropouts [s]
-    dropouts: number of gaps without packets or a hand in them; longest_s: the longest gap [s]; lost: share of the
-        stream's time
-    reordered: packets that came after a later one; repeated: packets with a time that had occurred
-    invalid: share of joints without a valid position in the packets
+    dropouts: number of gaps without packets or without a hand; longest_s: longest gap [s]; lost: share of the total
+        time in gaps
+    reordered: number of packets out of order; repeated: number of packets with a repeated time
+    invalid: share of joints in the packets without a valid position
     """
 
     packets: int
@@ -74,7 +74,7 @@ class StreamReport:
 
 
 def stream_report(stream: Stream) -> StreamReport:
-    """Dropouts, jitter and order of a stream."""
+    """Return dropouts, jitter and order of a stream."""
     late = stream.times_s[1:] < np.maximum.accumulate(stream.times_s)[:-1]
     in_order = ordered(stream)
     times = in_order.times_s
@@ -98,7 +98,7 @@ def stream_report(stream: Stream) -> StreamReport:
 
 
 def ordered(stream: Stream) -> Stream:
-    """Return the packets in the order of their times; of those of one time, the first that came."""
+    """Return the packets in the order of their times; of packets with equal times, only the first that came."""
     _, order = np.unique(stream.times_s, return_index=True)
     return Stream(
         stream.times_s[order],
@@ -112,9 +112,9 @@ def ordered(stream: Stream) -> Stream:
 def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = None) -> Stream:
     """Return the stream with unit quaternions; invalid joints get a quaternion of 1, 0, 0, 0 and position 0.
 
-    what: begins the message of errors; places: name of each packet in them. Raises SceneError for other shapes, fewer
-    than two packets of different times, times that are not finite, and joints flagged as valid with numbers that are
-    not finite, a quaternion of length 0, or a radius that is not positive; and for data that are no hand in metres.
+    what: prefix of error messages; places: name of each packet in them. Raises SceneError for other shapes, fewer than
+    two packets of different times, times that are not finite, joints flagged as valid with numbers that are not finite,
+    a quaternion of length 0 or a radius that is not positive, and for sizes that are not those of a hand in metres.
     """
     n, j = len(stream.times_s), len(JOINTS)
     names = places or [f"packet {k + 1}" for k in range(n)]
@@ -146,9 +146,9 @@ def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = Non
     spans = np.linalg.norm(stream.positions[both, tip] - stream.positions[both, wrist], axis=1)
     span = float(np.median(spans)) if both.any() else 0.0
     if len(far) or (span > 0.0 and not USUAL_M[0] < span < USUAL_M[1]):
-        found = f"{names[int(far[0][0])]}, {JOINTS[far[0][1]]}: more than {FARTHEST_M:g} m away" if len(far) else ""
-        found = found or f"wrist and tip of the middle finger are {span:.3g} m apart"
-        raise SceneError(f"{what}: {found}; give metres: allowed are {USUAL_M[0]:g} to {USUAL_M[1]:g} m for a hand")
+        reason = f"{names[int(far[0][0])]}, {JOINTS[far[0][1]]}: more than {FARTHEST_M:g} m away" if len(far) else ""
+        reason = reason or f"wrist and tip of the middle finger are {span:.3g} m apart"
+        raise SceneError(f"{what}: {reason}; give metres: allowed are {USUAL_M[0]:g} to {USUAL_M[1]:g} m for a hand")
     unit = np.where(
         turned[:, :, None], stream.quaternions / np.where(turned, lengths, 1.0)[:, :, None], [1.0, 0.0, 0.0, 0.0]
     )
@@ -158,11 +158,11 @@ def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = Non
 
 
 def read_stream(path: str | Path) -> Stream:
-    """Read a stream from a CSV or NPZ table, a row for each packet in the order in which they came.
+    """Read a stream from a CSV or NPZ table with one row per packet, in the order of arrival.
 
     Columns (arrays of one length in an NPZ): time_s and, for each of JOINTS, JOINT_x_m, JOINT_y_m, JOINT_z_m, JOINT_qw,
-    JOINT_qx, JOINT_qy, JOINT_qz, JOINT_radius_m and JOINT_flags (XrSpaceLocationFlags as a whole number). Every cell is
-    a number; it may be nan for an invalid joint. Other columns are refused.
+    JOINT_qx, JOINT_qy, JOINT_qz, JOINT_radius_m and JOINT_flags (XrSpaceLocationFlags as a whole number). Cells are
+    numbers, which may be nan for an invalid joint. Other columns are refused.
     Raises SceneError as `read_trajectory` for the table and as `checked_stream` for its numbers.
     """
     file = Path(path)
@@ -200,12 +200,12 @@ def write_stream(path: str | Path, stream: Stream) -> None:
 
 
 def column_names() -> list[str]:
-    """Columns of a stream's table, time first, then joint by joint."""
+    """Return the columns of the table of a stream: time, and then by joint."""
     return ["time_s", *(f"{joint}_{part}" for joint in JOINTS for part in PARTS)]
 
 
 def stream_of(hand: ArticulatedHand, motion: PoseCourse, times_s: ArrayLike) -> Stream:
-    """Return the samples of a tracker without error for a hand in motion, at times [s], shape (n,)."""
+    """Return the samples of an ideal tracker for the motion of a hand, at times [s], shape (n,)."""
     times = np.asarray(times_s, dtype=np.float64)
     joints = hand_joints(hand)
     positions, quaternions = [], []

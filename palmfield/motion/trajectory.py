@@ -1,4 +1,4 @@
-"""The motion of a hand from a table in a file, and from a Python function."""
+"""Motion of a hand from a table in a file or from a Python function."""
 
 import importlib
 import math
@@ -23,12 +23,12 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 def read_trajectory(path: str | Path, hand: ArticulatedHand) -> Curve:
-    """Read the motion from a CSV or NPZ table; between samples as `Curve`, outside them at rest.
+    """Read the motion from a CSV or NPZ table; it is interpolated by `Curve`, and at rest before and after.
 
-    Columns (arrays of one length in an NPZ), in any order: time_s; x_m, y_m, z_m or x_mm, y_mm, z_mm; qw, qx, qy, qz
-    of any length; and for the joints that leave their rest JOINT_deg or JOINT_rad. Two or more rows.
-    Raises SceneError for a file that cannot be read, a missing, unknown or doubled column, and, with line (in an NPZ:
-    row) and column, for text, NaN, time that does not rise, a quaternion of length 0 and a joint out of its range.
+    Columns (arrays of one length in an NPZ), in any order: time_s; x_m, y_m, z_m or x_mm, y_mm, z_mm; qw, qx, qy, qz of
+    any length; JOINT_deg or JOINT_rad for the joints that leave their rest angle. Two or more rows.
+    Raises SceneError for a file that cannot be read, a missing, unknown or repeated column, and, with line (in an NPZ:
+    row) and column, for text, NaN, times that do not rise, a quaternion of length 0 and a joint out of its range.
     """
     file = Path(path)
     columns, places = read_table(file)
@@ -63,10 +63,10 @@ def read_trajectory(path: str | Path, hand: ArticulatedHand) -> Curve:
 
 
 def _position(file: Path, axis: str, columns: dict[str, Float]) -> Float:
-    given = [unit for unit in LENGTHS_m if f"{axis}_{unit}" in columns]
-    if len(given) != 1:
-        raise _missing(file, f"{axis}_m' or '{axis}_mm", columns) if not given else _doubled(file, axis, given)
-    return LENGTHS_m[given[0]] * columns.pop(f"{axis}_{given[0]}")
+    units = [unit for unit in LENGTHS_m if f"{axis}_{unit}" in columns]
+    if len(units) != 1:
+        raise _missing(file, f"{axis}_m' or '{axis}_mm", columns) if not units else _doubled(file, axis, units)
+    return LENGTHS_m[units[0]] * columns.pop(f"{axis}_{units[0]}")
 
 
 def _angles(file: Path, hand: ArticulatedHand, columns: dict[str, Float], places: list[str]) -> Float:
@@ -121,10 +121,7 @@ def write_trajectory(path: str | Path, hand: ArticulatedHand, times: ArrayLike, 
 
 
 class Scripted:
-    """A motion by a function; each of its results is checked.
-
-    span_s: the function's own, or from -inf to inf
-    """
+    """A motion by a function whose results are checked. span_s: that of the function, or from -inf to inf."""
 
     def __init__(self, function: Callable[[float], HandPose], name: str, hand: ArticulatedHand | None) -> None:
         self.span_s: tuple[float, float] = getattr(function, "span_s", (-math.inf, math.inf))
@@ -133,7 +130,7 @@ class Scripted:
         self._hand = hand
 
     def __call__(self, time_s: float) -> HandPose:
-        """The pose at a time [s]. Raises SceneError, with the time, for a result that is not a pose and for errors."""
+        """Return the pose at a time [s]. Raises SceneError, with the time, for invalid results and for errors."""
         time = min(max(float(time_s), self.span_s[0]), self.span_s[1])
         where = f"hand motion '{self._name}' at {time:g} s"
         try:
@@ -153,7 +150,7 @@ class Scripted:
 def from_callable(function: str | Callable[[float], HandPose], hand: ArticulatedHand | None = None) -> Scripted:
     """Return the motion of a function of time [s] that returns a HandPose, or a tuple of its three parts.
 
-    function: itself, or "package.module:function"; hand: whose joints and ranges apply to its results
+    function: function, or "package.module:function"; hand: hand with the allowed joints and ranges
     Raises SceneError if the function is not found; its results are checked when the motion is evaluated.
     """
     if callable(function):
@@ -163,7 +160,7 @@ def from_callable(function: str | Callable[[float], HandPose], hand: Articulated
         raise SceneError(f"hand motion '{function}' is not of the form package.module:function")
     try:
         imported = getattr(importlib.import_module(module), name)
-    except Exception as error:  # a user's module may raise anything
+    except Exception as error:  # a user's module may raise any exception
         why = f"{type(error).__name__}: {error}"
         if isinstance(error, ModuleNotFoundError):
             why = f"there is no module '{error.name}'"

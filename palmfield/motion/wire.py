@@ -1,4 +1,4 @@
-"""Samples of a tracked hand as lines of JSON for a socket: by OpenXR's names or by LeapC's.
+"""Samples of a tracked hand as lines of JSON for a socket, with the names of OpenXR or LeapC.
 
 openxr: {"convention": "openxr", "time_s": 1.25, "hand": "right", "joints": {"wrist": {"position": [x, y, z],
     "orientation": [x, y, z, w], "radius": 0.03}, ...}}, names as in XrHandJointEXT with or without XR_HAND_JOINT_ and
@@ -7,7 +7,7 @@ leapc: {"convention": "leapc", "timestamp": 1250000, "hand": "right", "palm": {"
     {"next_joint": [x, y, z]}, "thumb": {"bones": [{"prev_joint": [x, y, z], "next_joint": [...], "rotation":
     [x, y, z, w], "width": 18.0}, ...]}, "index": ..., "middle": ..., "ring": ..., "pinky": ...}, the four bones of
     LEAP_DIGIT from metacarpal to distal, microseconds and millimetres
-Both have y up and -z away from the user. A sample whose hand is lost has "hand": null.
+In both, y is up and -z points away from the user. A sample of a lost hand has "hand": null.
 """
 
 import json
@@ -35,11 +35,11 @@ CONVENTIONS: tuple[str, ...] = get_args(Convention)
 LEAP_DIGITS = {"thumb": "thumb", "index": "index", "middle": "middle", "ring": "ring", "pinky": "little"}
 LEAP_SCALE_M, LEAP_TICK_S = 1e-3, 1e-6
 RADIUS_M = 0.01
-"""Radius of a joint if none is given."""
+"""Default radius of a joint."""
 
 
 class Sample(NamedTuple):
-    """A sample of one hand. time_s: on the tracker's clock [s]; the others as of `palmfield.motion.tracking.Stream`"""
+    """A sample of one hand. time_s: on the tracker's clock [s]; others as in `palmfield.motion.tracking.Stream`"""
 
     time_s: float
     positions: Float
@@ -82,7 +82,7 @@ def read_sample(line: str | bytes) -> Sample:
 
 
 def write_sample(sample: Sample, convention: Convention = "openxr", hand: str = "right") -> str:
-    """Return the line of a sample, without its end. A sample without any valid joint is that of a lost hand."""
+    """Return the line of a sample without line end. A sample without valid joints is that of a lost hand."""
     valid = (sample.flags & POSITION_VALID) != 0
     head: dict[str, Any] = {"convention": convention}
     if convention == "openxr":
@@ -108,17 +108,17 @@ Joint = tuple[Any, Any, Any]
 
 def _openxr(value: dict[str, Any]) -> dict[str, Joint]:
     joints: dict[str, Joint] = {}
-    for given, one in value["joints"].items():
-        name = given.lower().removeprefix("xr_hand_joint_").removesuffix("_ext")
+    for key, one in value["joints"].items():
+        name = key.lower().removeprefix("xr_hand_joint_").removesuffix("_ext")
         if name not in JOINTS:
-            raise BadLine("joints", f"joint '{given}' is not one of the 26 joints of OpenXR")
+            raise BadLine("joints", f"joint '{key}' is not one of the 26 joints of OpenXR")
         joints[name] = one["position"], one.get("orientation"), one.get("radius")
     return joints
 
 
 def _leapc(value: dict[str, Any]) -> dict[str, Joint]:
-    """OpenXR's joints of LEAP_HAND: a bone's joint nearer to the wrist has the bone's name; the thumb's metacarpal has
-    no length there, and its proximal bone is OpenXR's metacarpal."""
+    """Return the OpenXR joints of LEAP_HAND. The joint of a bone nearer to the wrist has the name of the bone. The
+    metacarpal of the thumb has no length in LeapC; its proximal bone is the metacarpal of OpenXR."""
     joints: dict[str, Joint] = {
         "palm": (_metres(value["palm"]["position"]), value["palm"].get("orientation"), None),
         "wrist": (_metres(value["arm"]["next_joint"]), value["arm"].get("rotation"), None),
@@ -164,7 +164,7 @@ def _places(digit: str) -> tuple[str, ...]:
 
 
 def _first(digit: str) -> int:
-    """Number of LEAP_DIGIT's bone that is OpenXR's first."""
+    """Return the number of the bone of LEAP_DIGIT that is the first bone of OpenXR."""
     return 1 if digit == "thumb" else 0
 
 
@@ -184,14 +184,14 @@ def _numbers(values: Any, count: int, what: str) -> Float:
 
 def _time(value: dict[str, Any], convention: str) -> float:
     key = "time_s" if convention == "openxr" else "timestamp"
-    given = value.get(key)
-    if not isinstance(given, float) or not math.isfinite(given):
-        raise BadLine("numbers", f"{key} is {given!r}; give a number")
-    return given * (1.0 if convention == "openxr" else LEAP_TICK_S)
+    time = value.get(key)
+    if not isinstance(time, float) or not math.isfinite(time):
+        raise BadLine("numbers", f"{key} is {time!r}; give a number")
+    return time * (1.0 if convention == "openxr" else LEAP_TICK_S)
 
 
 def _check_size(positions: Float, flags: Int) -> None:
-    """Refuse data that are no hand in metres."""
+    """Raise BadLine for sizes that are not those of a hand in metres."""
     valid = (flags & POSITION_VALID) != 0
     if not valid.any():
         raise BadLine("lost", "no joint has a position")

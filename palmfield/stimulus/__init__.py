@@ -1,4 +1,4 @@
-"""Focus and level over time and on the skin, independent of scenes: schedules, shapes, surface paths, bursts.
+"""Position and level of the focus over time, independent of scenes: schedules, shapes, surface paths, bursts.
 
 from palmfield.stimulus import circle, drawn
 path = drawn(hand.surface, hand.landmarks["palm_centre"], [1.0, 0.0, 0.0], circle(0.03))

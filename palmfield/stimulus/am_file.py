@@ -16,9 +16,8 @@ COLUMNS: dict[str, Literal["period", "course"]] = {"turn": "period", "time_s": "
 def read_am_table(path: str | Path) -> AmTable:
     """Read the waveform from a CSV or NPZ file with two columns: turn and w of one period, or time_s and w of a course.
 
-    Raises SceneError for a file that cannot be read, other columns, fewer than 2 rows or more than MOST_ROWS. With line
-    and column for moments that do not rise or lie outside 0 <= turn < 1 or 0 <= time_s, and for w outside -1..1 or -1
-    throughout.
+    Raises SceneError for a file that cannot be read, other columns, fewer than 2 rows or more than MOST_ROWS; with line
+    and column for times that do not rise or are outside 0 <= turn < 1 or 0 <= time_s, and w outside -1..1 or always -1.
     """
     file = Path(path)
     columns, places = read_table(file)

@@ -6,10 +6,10 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class AmTable:
-    """Contents of a file, comparable.
+    """Contents of a file, comparable by value.
 
-    of: a period, which repeats, or a course, whose last value holds; moments: turns from 0 to below 1, or times since
-    the sound began [s], rising; values: of the waveform there, -1..1, linear in between
+    of: a period, which repeats, or a course, which keeps its last value; moments: rising turns from 0 to below 1, or
+    times since the start of the sound [s]; values: waveform at these moments, -1..1, linear between
     """
 
     of: Literal["period", "course"]
@@ -17,5 +17,5 @@ class AmTable:
     values: tuple[float, ...]
 
     def __hash__(self) -> int:
-        # Configurations are hashed in every step; hashing thousands of numbers would take longer than the step
+        # Configurations are hashed in every step, and a hash of thousands of numbers would take longer than the step
         return hash((self.of, len(self.moments), self.values[:8]))

@@ -1,14 +1,14 @@
 """Spatio-temporal modulation of AUTD3 units (`FociStm` of autd3 0.12) as plain data in a JSON file, and as a table.
 
-autd3 has no file format of its own. The file holds what its constructors take, in their units and under their names:
+autd3 has no file format. The file contains the arguments of its constructors, with their names and units:
 
 {"autd3_foci_stm": 1, "divide": 40, "loop": "infinite", "origin_mm": [-86.6, -66.7, 0.0],
  "points": [{"points": [{"point": [86.6, 66.7, 200.0], "phase_offset": 0}], "intensity": 255}]}
 
-divide: of SamplingConfig, each entry of points is held for divide / 40 kHz; loop: LoopBehavior, "infinite" or "once"
-origin_mm: of autd3's geometry, the first transducer of the first unit, seen from the middle of all transducers, which
-is palmfield's array frame. Points are in millimetres; units round them to 0.025 mm. What units take is what autd3's
-emulator takes: 2 entries at least, 65,536 foci in all, and places that one unit can hold (`_check`).
+divide: of SamplingConfig; each entry of points lasts divide / 40 kHz; loop: LoopBehavior, "infinite" or "once"
+origin_mm: origin of autd3's geometry (first transducer of the first unit) relative to the centre of all transducers,
+the origin of palmfield's array frame. Points are in mm; units round them to 0.025 mm. The limits of units are those of
+autd3's emulator: at least 2 entries, at most 65,536 foci, and a range of positions (`_check`).
 """
 
 import json
@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.acoustics.arrays import layout
 from palmfield.errors import OutputError, SceneError, fault_of, naming
-from palmfield.input_files import read_json
+from palmfield.given_files import read_json
 from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.focus_table_file import focus_table
 from palmfield.types import Float
@@ -32,9 +32,9 @@ LEVELS = 255
 MM = 1e3
 STEP_MM = 0.025
 MOST_FOCI = 65536
-"""Largest number of foci that a unit stores, of all entries together."""
+"""Largest number of foci in all entries together that a unit can store."""
 FARTHEST = 2**17
-"""Largest number of steps from any of a unit's transducers to a focus, along each axis; one less towards plus."""
+"""Largest number of steps from any transducer of a unit to a focus along each axis; one less in positive direction."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Triple = tuple[Number, Number, Number]
 
@@ -44,21 +44,21 @@ class _Plain(BaseModel):
 
 
 class ControlPoint(_Plain):
-    """A focus [mm], and the phase shift of its sound against the other foci in 256ths of a turn."""
+    """A focus [mm], and the phase of its sound relative to other foci in 1/256 of a turn."""
 
     point: Annotated[Triple, Field(strict=False)]
     phase_offset: Annotated[int, Field(ge=0, le=255)] = 0
 
 
 class ControlPoints(_Plain):
-    """Simultaneous foci, 1 to 8, and their common intensity; the pulses give an amplitude of intensity / 255."""
+    """1 to 8 simultaneous foci and their common intensity; the pulse width gives an amplitude of intensity / 255."""
 
     points: Annotated[list[ControlPoint], Field(min_length=1, max_length=8)]
     intensity: Annotated[int, Field(ge=0, le=LEVELS)] = LEVELS
 
 
 class FociStm(_Plain):
-    """Contents of the file in this module's description."""
+    """Contents of the file described in this module."""
 
     autd3_foci_stm: Literal[1]
     divide: Annotated[int, Field(ge=1, le=65535)]
@@ -68,13 +68,13 @@ class FociStm(_Plain):
 
 
 def default_origin_mm() -> tuple[float, float, float]:
-    """Origin of one unit: its first transducer, relative to the middle of all 249 [mm]."""
+    """Return the origin of one unit: its first transducer, relative to the centre of all 249 [mm]."""
     x, y, z = (MM * layout("autd3").positions[0]).tolist()
     return x, y, z
 
 
 def read_foci_stm(path: str | Path) -> FociStm:
-    """The file's content. Raises SceneError, with the entry's place, for an invalid file."""
+    """Read the content of a file. Raises SceneError, with the invalid entry, for an invalid file."""
     file = Path(path)
     try:
         with naming(f"{file}"):
@@ -90,7 +90,7 @@ def read_foci_stm(path: str | Path) -> FociStm:
 
 
 def _check(stm: FociStm) -> None:
-    """Raises SceneError for an STM that units do not accept."""
+    """Raise SceneError for an STM that units do not accept."""
     if len(stm.points) < 2:
         raise SceneError(f"points has {len(stm.points)} entries; allowed: at least 2; list a stationary focus twice")
     count = sum(len(entry.points) for entry in stm.points)
@@ -113,9 +113,9 @@ def _check(stm: FociStm) -> None:
 
 
 def table_of_stm(stm: FociStm) -> FocusTable:
-    """Return its foci in the array's frame, held; `loop` corresponds to key path_end.
+    """Return the foci in the array frame, each constant until the next; `loop` corresponds to key path_end.
 
-    Raises SceneError if simultaneous foci differ in number or have given phases, which a stimulus computes itself.
+    Raises SceneError if the number of simultaneous foci changes, or if their phases, which a stimulus computes, differ.
     """
     counts = [len(entry.points) for entry in stm.points]
     if min(counts) != max(counts):
@@ -141,11 +141,11 @@ def table_of_stm(stm: FociStm) -> FocusTable:
 def stm_of_table(
     table: FocusTable, origin_mm: tuple[float, float, float] | None = None, *, again: bool = False
 ) -> FociStm:
-    """Convert a table in the frame of the array for AUTD3 units; intensities are rounded to 1/255 of full amplitude.
+    """Convert a table in the array frame for AUTD3 units; intensities are rounded to 1/255 of full amplitude.
 
-    origin_mm: of autd3's geometry, None for that of one unit; again: whether it repeats
-    Raises SceneError for a table in another frame, of straight lines, at a rate that is no whole part of 40 kHz, of
-    more foci than 8, with simultaneous foci of different intensities, and of rows and places that units do not accept.
+    origin_mm: origin of autd3's geometry, None for that of one unit; again: whether the STM repeats
+    Raises SceneError for another frame, linear interpolation, a rate that is not 40 kHz divided by a whole number, more
+    than 8 foci, simultaneous foci of different intensities, and rows and positions that units do not accept.
     """
     divide = CARRIER_HZ / table.rate_Hz
     refused = ""
@@ -185,7 +185,7 @@ def stm_of_table(
 
 
 def write_foci_stm(path: Path, stm: FociStm) -> None:
-    """Write the file, a line for each entry of points. Raises OutputError if that fails."""
+    """Write the file, with one line per entry of points. Raises OutputError if it cannot be written."""
     content = stm.model_dump(mode="json")
     entries = ",\n  ".join(json.dumps(entry) for entry in content.pop("points"))
     head = json.dumps(content)[:-1]
@@ -193,12 +193,12 @@ def write_foci_stm(path: Path, stm: FociStm) -> None:
 
 
 def autd3_command(stm: FociStm, sound_speed_m_s: float) -> Any:
-    """Return autd3's own `FociStm`, to be sent by its client. Raises OutputError without the extra `autd3`."""
+    """Return the `FociStm` of autd3, for its client. Raises OutputError without the extra `autd3`."""
     try:
         from autd3 import commands, units, value
     except ImportError:
         raise OutputError("autd3 is not installed: pip install 'palmfield[autd3]'") from None
-    # Units refuse a finite loop unless it begins with the first entry of the table
+    # Units accept a finite loop only if it begins with the first entry of the table
     loop, begin = value.LoopBehavior.Infinite, value.TransitionMode.Immediate
     if stm.loop == "once":
         loop, begin = value.LoopBehavior.Once, value.TransitionMode.SyncIdx
@@ -209,7 +209,7 @@ def autd3_command(stm: FociStm, sound_speed_m_s: float) -> Any:
 
 
 def control_points(stm: FociStm) -> list[Any]:
-    """Return autd3's own `ControlPoints`, which `FociStm` takes and which can be read back, as float32."""
+    """Return the `ControlPoints` of autd3 for `FociStm`; they can be read back, as float32."""
     from autd3 import value
 
     return [

@@ -11,7 +11,7 @@ from palmfield.types import Float
 
 MOST_BURSTS = 10_000_000
 TICK_s = 1e-9
-"""A jump less than this ahead counts as passed, so that t = k * period_s lies in burst k for any rounding."""
+"""A jump less than this ahead is treated as passed, so that t = k * period_s is in burst k with any rounding."""
 
 
 def burst(
@@ -22,9 +22,9 @@ def burst(
     period_s: float,
     count: int | None = None,
 ) -> Float:
-    """Level 0..1 at times [s], shape (n,): burst k = 0, 1, ... lasts from k period_s for length_s.
+    """Return the level 0..1 at times [s], shape (n,): burst k = 0, 1, ... begins at k period_s and lasts length_s.
 
-    rectangular: 1 within a burst; hann: (1 - cos(2 pi t / length_s)) / 2, t from the burst's beginning
+    rectangular: 1 within a burst; hann: (1 - cos(2 pi t / length_s)) / 2, with t from the beginning of the burst
     count: number of bursts; None for no end. Before time 0 the level is 0.
     Raises SceneError for another window, a length not in 0 < length_s <= period_s, or a count below 1.
     """
@@ -45,9 +45,9 @@ def burst(
 
 
 def onsets(start_s: float, end_s: float, *, length_s: float, period_s: float, count: int | None = None) -> Float:
-    """Return times [s] in start_s < t <= end_s at which a rectangular `burst` jumps, in order, shape (n,).
+    """Return the rising times [s] in start_s < t <= end_s at which a rectangular `burst` jumps, shape (n,).
 
-    Bursts that touch (length_s = period_s) have no jump between them.
+    Consecutive bursts without a gap (length_s = period_s) have no jump between them.
     Raises SceneError as `burst` does.
     """
     _check(length_s, period_s, count)

@@ -20,8 +20,8 @@ class PlanePath:
     """A polyline in a plane.
 
     points: corners [m], shape (n, 2), float64; a closed path continues from the last to the first
-    closed: whether it returns to its start; an open path goes there and back
-    lifted: which segments are pen lifts, moves that draw nothing, shape (n - 1,); None if there are none
+    closed: whether the path returns to its start; an open path is traversed there and back
+    lifted: True for segments that are pen lifts, which draw nothing, shape (n - 1,); None without lifts
     """
 
     points: Float
@@ -30,7 +30,7 @@ class PlanePath:
 
     @cached_property
     def corners(self) -> Float:
-        """All corners in turn, a closed path's first one again at the end [m], shape (n,) or (n + 1, 2)."""
+        """All corners in order [m], with the first one again at the end of a closed path, shape (n or n + 1, 2)."""
         return np.vstack([self.points, self.points[:1]]) if self.closed else self.points
 
     @cached_property
@@ -51,9 +51,9 @@ class PlanePath:
         return float(self.corner_arcs[-1])
 
     def at(self, arc_m: ArrayLike) -> Float:
-        """Points [m], shape (k, 2), at arc lengths from the start [m], shape (k,), of any size and sign.
+        """Return points [m], shape (k, 2), at arc lengths from the start [m], shape (k,), of any size and sign.
 
-        A closed path goes round again; an open one goes there and back, at(2 L - s) = at(s).
+        A closed path repeats; an open path is traversed there and back, at(2 L - s) = at(s).
         """
         arc = folded(arc_m, self.length_m, self.closed)
         segment = np.minimum(self.corner_arcs.searchsorted(arc, "right") - 1, len(self.slopes) - 1)
@@ -61,9 +61,9 @@ class PlanePath:
         return points
 
     def pen_down(self, arc_m: ArrayLike) -> NDArray[np.bool_]:
-        """Whether the path draws at arc lengths [m], shape (k,); False on the straight moves between strokes.
+        """Return whether the path draws at arc lengths [m], shape (k,); False on the straight moves between strokes.
 
-        Lifts have an arc length like strokes: to make them fast, increase the speed there with the sound off.
+        Lifts have an arc length like strokes; to make them fast, increase the speed there with the sound off.
         """
         arc = folded(arc_m, self.length_m, self.closed)
         if self.lifted is None:
@@ -73,7 +73,7 @@ class PlanePath:
 
 
 def folded(arc_m: ArrayLike, length_m: float, closed: bool) -> Float:
-    """Map arc lengths into 0..length_m: periodic if closed, else there and back. Shape (k,)."""
+    """Map arc lengths, shape (k,), into 0..length_m, periodically if closed, else there and back."""
     arc = np.asarray(arc_m, dtype=np.float64).reshape(-1)
     if closed:
         return np.mod(arc, length_m)
@@ -82,7 +82,7 @@ def folded(arc_m: ArrayLike, length_m: float, closed: bool) -> Float:
 
 
 def line(length_m: float, direction_deg: float = 0.0) -> PlanePath:
-    """A straight line in a direction from x towards y; starts at its rear end. Raises SceneError for a bad length."""
+    """Return a straight line in a direction from x towards y, from its rear end. Raises SceneError for a bad length."""
     half = 0.5 * _size("line", length_m=length_m)[0]
     if not math.isfinite(direction_deg):
         raise SceneError(f"line: direction_deg = {direction_deg} is not a direction; give degrees")
@@ -91,7 +91,7 @@ def line(length_m: float, direction_deg: float = 0.0) -> PlanePath:
 
 
 def circle(diameter_m: float) -> PlanePath:
-    """A circle, from its +x point counter-clockwise; its length is within 1e-4 of pi d.
+    """Return a circle, counter-clockwise from its +x point; the relative error of its length is below 1e-4.
 
     Raises SceneError for a bad diameter.
     """
@@ -101,9 +101,9 @@ def circle(diameter_m: float) -> PlanePath:
 
 
 def zigzag(width_m: float, height_m: float, turns: int) -> PlanePath:
-    """Straight strokes up and down with `turns` corners between start and end, evenly spread in x.
+    """Return straight strokes up and down with `turns` corners between start and end, evenly spaced in x.
 
-    Starts at the lower left (-x, -y). Raises SceneError for bad sizes, and for turns below 1 or not whole.
+    It starts at the lower left (-x, -y). Raises SceneError for bad sizes, and for turns below 1 or not whole.
     """
     width, height = _size("zigzag", width_m=width_m, height_m=height_m)
     count = _whole("zigzag", turns=turns)[0] + 2
@@ -112,10 +112,10 @@ def zigzag(width_m: float, height_m: float, turns: int) -> PlanePath:
 
 
 def zigzag_about(length_m: float, width_m: float, stroke_m: float) -> tuple[Float, Float]:
-    """Corners of a zigzag about a line: distance along it, and to its left, shape (k,) both [m].
+    """Return the corners of a zigzag about a line: distances along the line and to its left [m], both of shape (k,).
 
-    stroke_m: distance along the line of one stroke across the whole width. It begins at the right edge; the last stroke
-    ends at the end of the line. Raises SceneError for bad sizes.
+    stroke_m: distance along the line of one stroke across the whole width. The zigzag begins at the right edge; its
+    last stroke ends at the end of the line. Raises SceneError for bad sizes.
     """
     length, width, stroke = _size("zigzag", length_m=length_m, width_m=width_m, stroke_m=stroke_m)
     along = np.append(np.arange(0.0, length * (1.0 - 1e-9), stroke), length)
@@ -124,9 +124,9 @@ def zigzag_about(length_m: float, width_m: float, stroke_m: float) -> tuple[Floa
 
 
 def zigzagged(path: PlanePath, width_m: float, stroke_m: float) -> PlanePath:
-    """A zigzag of this width about an open path, as `zigzag_about`: straight strokes from edge to edge.
+    """Return a zigzag of this width about an open path, as `zigzag_about`, with straight strokes from edge to edge.
 
-    Raises SceneError for bad sizes, and for a closed path, on which the two ends would not meet.
+    Raises SceneError for bad sizes, and for a closed path, where the ends of the zigzag would not meet.
     """
     if path.closed:
         raise SceneError(
@@ -136,12 +136,12 @@ def zigzagged(path: PlanePath, width_m: float, stroke_m: float) -> PlanePath:
     segment = np.minimum(path.corner_arcs.searchsorted(along, "right") - 1, len(path.slopes) - 1)
     slopes = path.slopes[segment]
     sideways = np.stack([-slopes[:, 1], slopes[:, 0]], axis=1)
-    # The end is that of the path: at(length) is where an open path turns back
+    # at(length) is the end of an open path, where it turns back
     return PlanePath(path.at(along) + left[:, None] * sideways, closed=False)
 
 
 def square(side_m: float) -> PlanePath:
-    """A square with sides along x and y, from its lower left corner (-x, -y) counter-clockwise.
+    """Return a square with sides along x and y, counter-clockwise from its lower left corner (-x, -y).
 
     Raises SceneError for a bad side.
     """
@@ -150,7 +150,7 @@ def square(side_m: float) -> PlanePath:
 
 
 def z_shape(width_m: float, height_m: float) -> PlanePath:
-    """The letter Z: from the upper left (-x, +y) along the top, down the diagonal, along the foot.
+    """Return the letter Z: from the upper left (-x, +y) along the top, down the diagonal, along the foot.
 
     Raises SceneError for bad sizes.
     """
@@ -160,9 +160,9 @@ def z_shape(width_m: float, height_m: float) -> PlanePath:
 
 
 def lissajous(width_m: float, height_m: float, a: int, b: int, phase_deg: float) -> PlanePath:
-    """x = width/2 sin(a u + phase), y = height/2 sin(b u), u = 0..2 pi; starts at u = 0, on the x axis.
+    """Return x = width/2 sin(a u + phase), y = height/2 sin(b u), u = 0..2 pi; it starts at u = 0, on the x axis.
 
-    a, b: whole numbers of 1 or more without a common divisor (with one, the curve would repeat itself)
+    a, b: whole numbers of 1 or more without a common divisor, with which the curve would repeat itself
     Raises SceneError for bad sizes, counts and phase.
     """
     width, height = _size("lissajous", width_m=width_m, height_m=height_m)
@@ -171,17 +171,17 @@ def lissajous(width_m: float, height_m: float, a: int, b: int, phase_deg: float)
         raise SceneError(f"lissajous: a = {a} and b = {b} have a common divisor; divide both by {math.gcd(a, b)}")
     if not math.isfinite(phase_deg):
         raise SceneError(f"lissajous: phase_deg = {phase_deg} is not finite; give an angle in degrees")
-    # Points every quarter of an oscillation's 256th, so that crests lie within 2e-5 of the requested width and height
+    # Points every 1/1024 of an oscillation, so that width and height have a relative error of 2e-5
     u = 2.0 * math.pi * np.arange(256 * max(a, b)) / (256 * max(a, b))
     points = np.stack([width * np.sin(a * u + math.radians(phase_deg)), height * np.sin(b * u)], axis=1)
     return PlanePath(0.5 * points, closed=True)
 
 
 def letters(text: str, height_m: float) -> PlanePath:
-    """Capitals and digits in single strokes; starts where the first letter's first stroke does.
+    """Return capitals and digits in single strokes, from the start of the first stroke.
 
-    Between strokes the pen is lifted and moves straight: see `pen_down`.
-    Raises SceneError for a bad height and for characters other than A-Z (lower case too), 0-9 and the blank.
+    Between strokes the pen is lifted and moves straight, see `pen_down`.
+    Raises SceneError for a bad height and for characters other than letters, 0-9 and the blank.
     """
     from palmfield.stimulus.letters import strokes
 
@@ -201,10 +201,10 @@ def letters(text: str, height_m: float) -> PlanePath:
 
 
 def polyline(points: ArrayLike) -> PlanePath:
-    """Straight lines through points [m], shape (n, 2), moved so that the middle of their extent is the origin.
+    """Return straight lines through points [m], shape (n, 2), shifted so that the centre of their extent is the origin.
 
-    Starts at the first point; closed where the last repeats the first.
-    Raises SceneError for another shape, values that are not finite, and fewer than two distinct points in turn.
+    The path starts at the first point; it is closed if the last point equals the first.
+    Raises SceneError for another shape, values that are not finite, and fewer than two distinct consecutive points.
     """
     corners = np.asarray(points, dtype=np.float64)
     if corners.ndim != 2 or corners.shape[1] != 2:

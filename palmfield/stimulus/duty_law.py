@@ -1,4 +1,4 @@
-"""Amplitude by pulse width: the first harmonic of a rectangular wave of duty d is p = p_M sin(pi d).
+"""Amplitude as a function of pulse width: the first harmonic of a rectangular wave of duty d is p = p_M sin(pi d).
 
 Hasegawa & Shinoda 2018, eq. 5 and 6.
 """
@@ -11,12 +11,11 @@ from palmfield.types import Float
 
 
 def relative_pressure(duty: ArrayLike, exponent: float = 2.0) -> Float:
-    """p/p_M = sin(pi d)^(g/2).
+    """Return p/p_M = sin(pi d)^(g/2).
 
     duty: 0 to 1/2; beyond 1/2 the amplitude decreases again
-    exponent: g. 2 is the law of the rectangular wave. Another value calibrates a device whose radiation pressure,
-        quadratic in the incident pressure, was measured as sin(pi d)^g: 1.5 in Hasegawa & Shinoda 2018. It describes
-        transducer and driver, never the radiation pressure.
+    exponent: g, 2 for the rectangular wave. Other values describe transducer and driver of a device whose radiation
+        pressure, quadratic in the pressure, was measured as sin(pi d)^g: 1.5 in Hasegawa & Shinoda 2018.
     Raises DeviceError for a duty outside 0 to 1/2 and an exponent that is not positive.
     """
     d = _within(duty, 0.5, "duty")
@@ -24,7 +23,7 @@ def relative_pressure(duty: ArrayLike, exponent: float = 2.0) -> Float:
 
 
 def duty_cycle(amplitude: ArrayLike, exponent: float = 2.0) -> Float:
-    """Duty that gives p/p_M = amplitude: asin(a^(2/g))/pi, 0 to 1/2; the inverse of `relative_pressure`.
+    """Return the duty, 0 to 1/2, for p/p_M = amplitude: asin(a^(2/g))/pi, the inverse of `relative_pressure`.
 
     Raises DeviceError for an amplitude outside 0 to 1 and an exponent that is not positive.
     """

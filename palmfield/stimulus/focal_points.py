@@ -1,4 +1,4 @@
-"""Convert the points of a stimulus to places in the frame of the first array, for a fixed pose."""
+"""Convert the points of a stimulus to positions in the frame of the first array, for a fixed pose."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -8,7 +8,7 @@ from palmfield.stimulus.focus_table import FocusTable
 from palmfield.transforms import Transform
 from palmfield.types import Float, Int
 
-if TYPE_CHECKING:  # most stimuli have no path on a surface
+if TYPE_CHECKING:  # not imported at run time, because most stimuli have no path on a surface
     from palmfield.stimulus.surface_path import SurfacePath
 
 NO_OFFSETS: Float = np.zeros((0, 3))
@@ -17,8 +17,8 @@ NO_OFFSETS: Float = np.zeros((0, 3))
 class SurfaceCourse(NamedTuple):
     """A path along a surface in its present pose.
 
-    vertices [m], shape (v, 3), and faces, shape (f, 3), of the surface of the path, in the body's frame
-    body: that frame relative to the first array
+    vertices: of the surface [m], shape (v, 3), in the body's frame; faces: shape (f, 3)
+    body: body frame relative to the first array
     """
 
     path: "SurfacePath"
@@ -27,19 +27,19 @@ class SurfaceCourse(NamedTuple):
     body: Transform
 
     def positions(self, arcs: Float) -> Float:
-        """Places [m] at arc lengths from the path's start [m], shape (k,), in the first array's frame, shape (k, 3)."""
+        """Return positions [m], shape (k, 3), in the array frame, at arc lengths from the path's start [m], (k,)."""
         return self.body.points(self.path.positions(arcs, self.vertices, self.faces))
 
 
 class FocalPoints(NamedTuple):
-    """Places of the stimulus's points while body, arrays and the stimulus's frame do not move.
+    """Positions of the points of a stimulus while body, arrays and frame of the stimulus do not move.
 
-    frame: the stimulus's frame relative to the first array
-    offsets: of several simultaneous foci from the point of the stimulus [m], shape (m, 3); (0, 3) for a single focus.
-        Zeros for those of a table, which contains their places
-    on_surface: the surface of the path; None for points in `frame`
-    arp: of several simultaneous foci relative to the loudest, shape (m,); () if they are equally loud
-    table: foci over time; its points are the time since the table's beginning [s], then 0, 0
+    frame: frame of the stimulus relative to the first array
+    offsets: offsets of simultaneous foci from the point of the stimulus [m], shape (m, 3); (0, 3) for a single focus.
+        They are zero for a table, which contains the positions
+    on_surface: surface of the path; None for points in `frame`
+    arp: ARP of simultaneous foci relative to the loudest, shape (m,); () if they are equal
+    table: foci over time; its points are the time since the start of the table [s], then 0, 0
     """
 
     frame: Transform
@@ -49,7 +49,7 @@ class FocalPoints(NamedTuple):
     arp: tuple[float, ...] = ()
 
     def at(self, point: Float) -> Float:
-        """Return the focus [m], shape (3,), or several, shape (m, 3), for one of the stimulus's points, shape (3,).
+        """Return the focus [m], shape (3,), or several foci, shape (m, 3), for a point of the stimulus, shape (3,).
 
         point: `palmfield.stimulus.schedule.Frame.focus`
         """
@@ -61,7 +61,7 @@ class FocalPoints(NamedTuple):
         return self.along(point[None])[0]
 
     def along(self, points: Float) -> Float:
-        """Return the focus, or the middle of several, for many of the stimulus's points, shapes (k, 3) [m]."""
+        """Return the focus, or the centre of several foci, for many points of the stimulus, shapes (k, 3) [m]."""
         if self.on_surface is not None:
             path, vertices, faces, body = self.on_surface
             return body.points(path.positions(points[:, 0], vertices, faces))
@@ -70,7 +70,7 @@ class FocalPoints(NamedTuple):
         return self.frame.points(points)
 
     def loudness(self, point: Float) -> Float | None:
-        """Return the pressure of several foci relative to the loudest, shape (m,); None if they are equally loud."""
+        """Return the pressures of several foci relative to the loudest, shape (m,); None if they are equal."""
         if self.table is None or self.table.foci == 1:
             return np.sqrt(np.array(self.arp) / max(self.arp)) if self.arp else None
         pressures = np.sqrt(self.table.arp_of_each(point[:1])[0])

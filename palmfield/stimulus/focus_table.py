@@ -1,4 +1,4 @@
-"""Foci over time as a plain table: place and level of each, frame, and interpolation between the rows."""
+"""Foci over time as a plain table: position and level of each focus, frame, and interpolation between rows."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,16 +15,16 @@ Quantity = Literal["duty", "amplitude", "arp"]
 Between = Literal["held", "linear"]
 FULL_DUTY = 0.5
 SOONER_S = 1e-9
-"""A row that is closer than this counts as reached, like ticks of `schedule`."""
+"""A row less than this ahead is treated as reached, like ticks of `schedule`."""
 
 
 @dataclass(frozen=True)
 class FocusTable:
-    """Foci over time, comparable.
+    """Foci over time, comparable by value.
 
-    frame: of the places; rate_Hz: rows lie at whole numbers of samples of this rate
-    quantity: of the intensities: amplitude of the sound, ARP, or the pulses' duty relative to 1/2
-    between: rows are held until the next one, the last for one sample; or joined by straight lines, the last is the end
+    frame: frame of the positions; rate_Hz: times of rows are whole numbers of samples of this rate
+    quantity: meaning of the intensities: amplitude of the sound, ARP, or duty of the pulses relative to 1/2
+    between: "held", rows are constant until the next one, the last for one sample; "linear", the last row is the end
     foci: number of simultaneous foci; rows: float64 numbers as bytes: sample, then x, y, z [m] and intensity 0..1 of
     each focus
     """
@@ -46,12 +46,12 @@ class FocusTable:
 
     @cached_property
     def samples(self) -> NDArray[np.int64]:
-        """Number of each row's sample, from 0, shape (n,)."""
+        """Sample number of each row, from 0, shape (n,)."""
         return self._numbers[:, 0].astype(np.int64)
 
     @cached_property
     def times(self) -> Float:
-        """Times of the rows since the table's beginning [s], shape (n,)."""
+        """Times of the rows since the start of the table [s], shape (n,)."""
         return self.samples / self.rate_Hz
 
     @cached_property
@@ -75,15 +75,15 @@ class FocusTable:
         return self.length_samples / self.rate_Hz
 
     def positions_at(self, since_s: Float) -> Float:
-        """Places of the foci at times since the table's beginning [s], shape (k,): [m], shape (k, foci, 3)."""
+        """Return positions of the foci [m], (k, foci, 3), at times since the start of the table [s], shape (k,)."""
         return self._at(self.positions, since_s)
 
     def intensities_at(self, since_s: Float) -> Float:
-        """Intensities at such times, 0..1, shape (k, foci)."""
+        """Return intensities, 0..1, shape (k, foci), at times since the start of the table [s], shape (k,)."""
         return self._at(self.intensities, since_s)
 
     def arp_of_each(self, since_s: Float, duty_exponent: float = 2.0) -> Float:
-        """ARP of the foci at such times relative to intensity 1, shape (k, foci); duty_exponent: g, of pulses."""
+        """Return the ARP of the foci relative to intensity 1, shape (k, foci); duty_exponent: g, for pulses."""
         intensities = self.intensities_at(since_s)
         if self.quantity == "duty":
             return relative_pressure(FULL_DUTY * intensities, duty_exponent) ** 2
@@ -100,7 +100,7 @@ class FocusTable:
         return np.asarray((1.0 - share) * values[row] + share * values[row + 1])
 
     def without_repeats(self) -> "FocusTable":
-        """Return the table without held rows that repeat the one before, except the last, which sets the duration."""
+        """Return the table without held rows equal to the row before, except the last, which sets the duration."""
         if self.between != "held":
             return self
         changes = np.append(True, np.any(np.diff(self._numbers[:, 1:], axis=0) != 0.0, axis=1))
@@ -109,11 +109,11 @@ class FocusTable:
 
     @cached_property
     def has_levels(self) -> bool:
-        """Whether an intensity is neither 0 nor 1, or straight lines join different ones."""
+        """Whether intensities have values other than 0 and 1, also by linear interpolation."""
         values = np.unique(self.intensities)
         return bool(np.any((values > 0.0) & (values < 1.0))) or (self.between == "linear" and len(values) > 1)
 
     @cached_property
     def moved_m(self) -> float:
-        """Longest path length of a focus from the first row to the last [m]."""
+        """Largest path length of a focus from the first row to the last [m]."""
         return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=2).sum(axis=0).max(initial=0.0))

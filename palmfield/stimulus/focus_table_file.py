@@ -22,7 +22,7 @@ import numpy as np
 
 from palmfield.config.stimulus import too_far
 from palmfield.errors import SceneError, did_you_mean
-from palmfield.input_files import read_text, reading
+from palmfield.given_files import read_text, reading
 from palmfield.stimulus.focus_table import Between, FocusTable, Quantity, TableFrame
 from palmfield.tables import numbers_in
 from palmfield.types import Float
@@ -35,7 +35,7 @@ LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 MOST_ROWS, MOST_FOCI = 1_000_000, 32
 HIGHEST_RATE_HZ = 40e3
 OFF_SAMPLE = 0.02
-"""Largest deviation of a row's time from a whole number of samples, for times written with few digits."""
+"""Largest deviation of a row's time from a whole number of samples; it allows times written with few digits."""
 
 
 def focus_table(
@@ -51,10 +51,10 @@ def focus_table(
 ) -> FocusTable:
     """Make a table from numbers.
 
-    times_s: of the rows [s], from 0, rising, shape (n,); positions: [m], shape (n, foci, 3)
-    intensities: 0..1, shape (n, foci); named: names of a row (from 0) and a column in messages
-    Raises SceneError, with row and column, for times that do not begin at 0, rise and lie on samples, for numbers that
-    are not finite, places beyond the range of a focus, intensities outside 0..1, and for silence throughout.
+    times_s: rising times of the rows from 0 [s], shape (n,); positions: [m], shape (n, foci, 3)
+    intensities: 0..1, shape (n, foci); named: function that names a row (from 0) and a column in messages
+    Raises SceneError, with row and column, for times that do not begin at 0, do not rise or are not on samples, for
+    numbers that are not finite, positions too far away, intensities outside 0..1, and if all intensities are 0.
     """
     times, places = np.asarray(times_s, np.float64), np.asarray(positions, np.float64)
     loud = np.asarray(intensities, np.float64)
@@ -132,10 +132,10 @@ class _Head(NamedTuple):
 
 
 def read_focus_table(path: str | Path) -> FocusTable:
-    """Read a table from a CSV file in the format of this module's description.
+    """Read a table from a CSV file in the format described in this module.
 
     Raises SceneError, with line and column, for a file that cannot be read, head lines that are missing, unknown or
-    have an invalid value, columns that are not t and x, y, z, intensity of each focus, and as `focus_table`.
+    invalid, columns other than t and x, y, z, intensity of each focus, and the errors of `focus_table`.
     """
     file = Path(path)
     with reading(file, SceneError, "a CSV file in UTF-8"):
@@ -151,7 +151,7 @@ def read_focus_table(path: str | Path) -> FocusTable:
     foci = (len(names) - 1) // 4
     order = [names.index(name) for name in _columns(foci)]
     own = table[:, order[1:]].reshape(len(table), foci, 4)
-    # Decimal arithmetic, so that 0.003 ms or 200 mm are the intended numbers
+    # Decimal arithmetic, so that 0.003 ms or 200 mm are converted exactly
     times = _scaled(table[:, order[0]], head.second)
     return focus_table(
         times, _scaled(own[..., :3], head.metre), own[..., 3], rate_Hz=head.rate_Hz, frame=head.frame,
@@ -165,11 +165,11 @@ def _scaled(values: Float, unit: float) -> Float:
 
 
 def _head(file: Path, lines: Sequence[tuple[int, str]]) -> _Head:
-    found: dict[str, tuple[int, int, str]] = {}
+    head: dict[str, tuple[int, int, str]] = {}
     for number, line in lines:
         matched = re.match(r"\s*#\s*([A-Za-z_]+)\s*:\s*(.*?)\s*$", line)
         if matched is None:
-            continue  # a remark
+            continue  # a comment
         name, value = matched[1], matched[2]
         if name not in HEAD:
             raise SceneError(
@@ -177,32 +177,32 @@ def _head(file: Path, lines: Sequence[tuple[int, str]]) -> _Head:
                 f"unknown{did_you_mean(name, HEAD)}; allowed: {', '.join(HEAD)} (a comment has no colon after its "
                 "first word)"
             )
-        if name in found:
+        if name in head:
             raise SceneError(
-                f"{file}: line {number}: head line '{name}' occurs twice, first in line {found[name][0]}; remove one"
+                f"{file}: line {number}: head line '{name}' occurs twice, first in line {head[name][0]}; remove one"
             )
-        found[name] = number, matched.start(2) + 1, value
-    missing = [name for name in HEAD if name not in found]
+        head[name] = number, matched.start(2) + 1, value
+    missing = [name for name in HEAD if name not in head]
     if missing:
         raise SceneError(f"{file}: line 1: head line '# {missing[0]}: ...' is missing; give {_allowed(missing[0])}")
 
     def one_of(name: str, allowed: Sequence[str]) -> str:
-        if found[name][2] not in allowed:
+        if head[name][2] not in allowed:
             raise _bad(name)
-        return found[name][2]
+        return head[name][2]
 
     def _bad(name: str) -> SceneError:
-        number, column, value = found[name]
+        number, column, value = head[name]
         return SceneError(f"{file}: line {number}, column {column}: {name} has value '{value}'; {_allowed(name)}")
 
     one_of("palmfield_stimulus", [str(VERSION)])
     try:
-        rate_Hz = float(found["rate_Hz"][2])
+        rate_Hz = float(head["rate_Hz"][2])
     except ValueError:
         raise _bad("rate_Hz") from None
     if not 0.0 < rate_Hz <= HIGHEST_RATE_HZ:
         raise _bad("rate_Hz")
-    units = [unit.strip() for unit in found["units"][2].split(",")]
+    units = [unit.strip() for unit in head["units"][2].split(",")]
     if len(units) != 2 or units[0] not in TIMES or units[1] not in LENGTHS:
         raise _bad("units")
     return _Head(
@@ -229,15 +229,15 @@ def _allowed(name: str) -> str:
 def _names(file: Path, number: int, line: str) -> list[str]:
     names = [name.strip() for name in line.split(",")]
     foci = max(1, (len(names) - 1) // 4)
-    wanted = _columns(foci)
+    expected = _columns(foci)
     twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice is not None:
         raise SceneError(
             f"{file}: line {number}, column {names.index(twice) + 1}: column '{twice}' occurs twice; remove one"
         )
-    stray = next((name for name in names if name not in wanted), None)
-    if stray is not None or len(names) != len(wanted):
-        missing = next((name for name in wanted if name not in names), wanted[-1])
+    stray = next((name for name in names if name not in expected), None)
+    if stray is not None or len(names) != len(expected):
+        missing = next((name for name in expected if name not in names), expected[-1])
         fault = f"column '{missing}' is missing" if stray is None else f"column '{stray}' is unknown"
         raise SceneError(
             f"{file}: line {number}: {fault}; allowed: t, x, y, z, intensity, or t, x1, y1, z1, intensity1, x2, ..."
@@ -246,7 +246,7 @@ def _names(file: Path, number: int, line: str) -> list[str]:
 
 
 def focus_table_text(table: FocusTable) -> str:
-    """Return the table in the format of `read_focus_table`, in seconds and metres with all digits."""
+    """Return the table as text for `read_focus_table`, in seconds and metres with all digits."""
     head = {
         "palmfield_stimulus": VERSION, "frame": table.frame, "rate_Hz": f"{table.rate_Hz!r}",
         "quantity": table.quantity, "units": "s, m", "between": table.between,
@@ -258,5 +258,5 @@ def focus_table_text(table: FocusTable) -> str:
 
 
 def write_focus_table(path: Path, table: FocusTable) -> None:
-    """Write a table as `focus_table_text`. Raises OutputError if that fails."""
+    """Write a table as `focus_table_text`. Raises OutputError if it cannot be written."""
     write_text(path, focus_table_text(table))

@@ -7,9 +7,9 @@ from palmfield.types import Float
 
 GRID_HEIGHT = 6.0
 ADVANCE = 6.0
-"""Grid units from one letter's left edge to the next one's; letters are at most 4 wide."""
+"""Grid units from the left edge of a letter to that of the next; letters are at most 4 wide."""
 
-# Blanks separate strokes; each point of a stroke is two digits, x (0 to 4) and y (0 to 6).
+# Strokes are separated by blanks; each point of a stroke is two digits, x (0 to 4) and y (0 to 6).
 GLYPHS = {
     "A": "002640 1333",
     "B": "00063645443303 3342413000",
@@ -51,8 +51,8 @@ GLYPHS = {
 
 
 def strokes(text: str) -> list[Float]:
-    """Strokes of a text in writing order, each of shape (n, 2), in units of the letters' height; small letters count as
-    capitals. The text begins at x = 0 with its baseline at y = 0.
+    """Return the strokes of a text in writing order, each of shape (n, 2), in units of the height of the letters. Small
+    letters are written as capitals. The text begins at x = 0 with its baseline at y = 0.
 
     Raises SceneError for a text without letters, and for characters other than A-Z, 0-9 and the blank.
     """

@@ -1,4 +1,4 @@
-"""Levels of many stimuli at the same moments, for worlds that are stepped together."""
+"""Levels of many stimuli at the same times, for worlds that are stepped together."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,13 +13,13 @@ from palmfield.types import Float
 
 
 def goes_smoothly(config: StimulusConfig) -> bool:
-    """Whether a stimulus is a fixed focus whose level jumps only at its beginning and end."""
+    """Return whether a stimulus is a fixed focus whose level jumps only at its beginning and end."""
     still = config.path == "point" and config.control_rate_Hz == 0.0
     return still and config.burst_window == "none" and not level_jumps(config)
 
 
 class Levels:
-    """The levels of n stimuli; those of one kind are computed together. Paths, ticks and bursts are not supported."""
+    """Levels of n stimuli; stimuli of one kind are computed together. Paths, ticks and bursts are not supported."""
 
     def __init__(self, configs: Sequence[StimulusConfig]):
         envelopes = [envelope_of(config) for config in configs]
@@ -34,7 +34,7 @@ class Levels:
             row[: 1 + len(one.ends)] = one.start_s, *one.ends
 
     def at(self, times: Float) -> Float:
-        """ARP relative to the loudest moment, 0..1, at times [s], shape (m,): shape (n, m)."""
+        """Return the ARP relative to the loudest moment, 0..1, shape (n, m), at times [s], shape (m,)."""
         if len(self._groups) == 1:
             return arp_factors(self._groups[0][1], times)
         result = np.empty((len(self._edges), len(times)))
@@ -43,7 +43,7 @@ class Levels:
         return result
 
     def jump(self, start_s: float, end_s: float) -> NDArray[np.bool_]:
-        """Return which of the stimuli begin or end after start_s, and by end_s [s], shape (n,)."""
+        """Return True for stimuli that begin or end in start_s < t <= end_s [s], shape (n,)."""
         within = (self._edges > start_s + TICK_S) & (self._edges <= end_s + TICK_S)
         return np.logical_or.reduce(within, axis=1)
 
@@ -54,7 +54,7 @@ def _kind(am: Modulation | None) -> tuple[object, ...]:
 
 
 def _stacked(envelopes: Sequence[Envelope]) -> Envelope:
-    """Envelopes of one kind as one, in columns."""
+    """Return envelopes of one kind as one envelope in columns."""
     modulations = [one.am for one in envelopes if one.am is not None]
     am = None
     if modulations:
@@ -67,7 +67,7 @@ def _stacked(envelopes: Sequence[Envelope]) -> Envelope:
 
 
 def _in_columns(many: Sequence[Any], *names: str) -> Any:
-    """The first of named tuples, with the numbers of all in columns."""
+    """Return the first of many named tuples, with the numbers of all in columns."""
     return many[0]._replace(**{name: _column([getattr(one, name) for one in many]) for name in names})
 
 

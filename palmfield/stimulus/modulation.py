@@ -1,7 +1,7 @@
-"""Amplitude modulation: the radiation pressure (ARP) of a waveform, its lines, and the drive for it.
+"""Amplitude modulation: radiation pressure (ARP) of a waveform, its spectral lines, and the drive.
 
-A quantity varies as 1 + m w with the depth m and the waveform w: the ARP itself, the amplitude of the sound (ARP is its
-square), or the duty d of the pulses, with ARP as sin(pi d)^g.
+A quantity varies as 1 + m w with depth m and waveform w. The quantity is the ARP, the amplitude of the sound (ARP is
+its square), or the duty d of the pulses (ARP is sin(pi d)^g).
 """
 
 import math
@@ -20,27 +20,27 @@ from palmfield.stimulus.waveform import Samples, Waveform, period_s, samples, wa
 from palmfield.types import Float
 
 POWERS = {"duty": 0, "amplitude": 2, "arp": 1}
-"""Power of a quantity to which the ARP is proportional; 0 if it is no power law."""
+"""Exponent p with the ARP proportional to quantity^p; 0 if it is not a power law."""
 FULL_DUTY = 0.5
-"""Beyond this duty pulses become softer again."""
+"""Duty of maximum amplitude; beyond it the amplitude decreases."""
 ROUNDING = 1e-9
 SILENT = 1e-9
-"""Share of full drive below which an amplitude counts as silence: its pulses have no course."""
+"""Share of full drive below which an amplitude is treated as silence."""
 HARMONIC = 0.1
-"""Share of the largest line in the ARP, each over its frequency, above which a harmonic is a main frequency: the skin's
-response decreases with frequency. A square wave of 200 Hz thus needs 600 Hz; a layer for 1 kHz differs by 0.2 %."""
+"""Smallest main frequency relative to the largest line of the ARP, each divided by its frequency because the response
+of the skin decreases with frequency. A square wave of 200 Hz needs 600 Hz; a layer for 1 kHz differs by 0.2 %."""
 MOST_HARMONICS = 8
 HIGHEST_HZ = 1000.0
-"""Above this the skin hardly responds, and there is no sensation."""
+"""Highest main frequency; above it the skin hardly responds, and there is no sensation."""
 COURSE_POWER = 0.99
 """Share of the power of a file's course below the highest of its main frequencies."""
 
 
 class Modulation(NamedTuple):
-    """AM of a stimulus; numbers, or columns of shape (n, 1) for n stimuli with one quantity and waveform.
+    """AM of a stimulus, as numbers, or columns of shape (n, 1) for n stimuli with one quantity and waveform.
 
-    quantity: duty, amplitude or arp; depth: m; power: the ARP is proportional to this power of it, 0 for duty
-    peak_duty: duty at the loudest moment, and exponent: g, for duty
+    quantity: duty, amplitude or arp; depth: m; power: exponent of the ARP as a function of the quantity, 0 for duty
+    peak_duty: for duty, the duty at the loudest moment; exponent: for duty, g
     """
 
     quantity: str
@@ -52,10 +52,10 @@ class Modulation(NamedTuple):
 
 
 class ArpLines(NamedTuple):
-    """Components of a modulation's ARP, relative to that at the loudest moment; peak amplitudes of lines.
+    """Components of the ARP of a modulation, relative to the loudest moment; lines are peak amplitudes.
 
-    mean: over a period, or a file's course; first, second: at the modulation's frequency and its double, None for a
-    file's course. Of bursts these are means over their whole period.
+    mean: mean over a period or a course; first, second: lines at the modulation frequency and its double, None for a
+    course. Values of bursts are means over the whole period.
     """
 
     mean: float
@@ -64,19 +64,19 @@ class ArpLines(NamedTuple):
 
 
 def relative_arp(am: Modulation, values: Float) -> Float:
-    """ARP relative to the loudest moment, 0..1, at values of the waveform, of any shape that fits the modulation's."""
+    """Return the ARP relative to the loudest moment, 0..1, at values of the waveform, in their shape."""
     share: Float = (1 + am.depth * values) / (1 + am.depth * am.waveform.highest)
     return share**am.power if am.power else arp_of_pulses(am, share)
 
 
 def arp_of_pulses(am: Modulation, share: Float) -> Float:
-    """ARP relative to the loudest moment, of pulses whose duty is a share of the peak's; any shape."""
+    """Return the ARP relative to the loudest moment for pulses with a share of the peak duty, in their shape."""
     return np.asarray((np.sin(np.pi * am.peak_duty * share) / np.sin(np.pi * am.peak_duty)) ** am.exponent)
 
 
 @lru_cache(maxsize=256)
 def modulation_of(config: StimulusConfig) -> Modulation | None:
-    """Return the modulation of a stimulus's keys, or None. Raises SceneError as `peak_amplitude`, for duty alone."""
+    """Return the modulation of a stimulus, or None. For duty, raises SceneError as `peak_amplitude`."""
     if config.modulation == "none":
         return None
     assert config.am_quantity is not None and config.am_depth is not None
@@ -92,9 +92,9 @@ def modulation_of(config: StimulusConfig) -> Modulation | None:
 
 @lru_cache(maxsize=256)
 def peak_amplitude(config: StimulusConfig) -> float:
-    """Amplitude of each transducer at the loudest moment relative to full drive, where drive_amplitude sets the level.
+    """Return the amplitude of each transducer at the loudest moment relative to full drive, set by drive_amplitude.
 
-    Raises SceneError if am_normalisation needs more than full drive, with an allowed value.
+    Raises SceneError, with an allowed value, if am_normalisation needs more than full drive.
     """
     amplitude = _amplitude(config)
     am = modulation_of(config)
@@ -117,7 +117,7 @@ def _amplitude(config: StimulusConfig) -> float:
 
 
 def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float:
-    """Return the duty at the loudest moment; full for silence. Raises SceneError for more than full duty."""
+    """Return the duty at the loudest moment; full duty for silence. Raises SceneError above full duty."""
     amplitude, depth = _amplitude(config), config.am_depth or 0.0
     if amplitude < SILENT:
         return FULL_DUTY
@@ -133,7 +133,7 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
     period = samples(form)
 
     def mean_arp(peak: float) -> float:
-        """Mean ARP of pulses with this amplitude at the loudest moment, relative to full drive."""
+        """Return the mean ARP of pulses with this amplitude at the loudest moment, relative to full drive."""
         duty = float(duty_cycle(peak, exponent))
         course = np.sin(np.pi * duty * (1.0 + depth * period.values) / growth) ** exponent
         return float(period.weights @ course)
@@ -150,8 +150,8 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
     return float(duty_cycle(peak, exponent))
 
 
-def _too_loud(config: StimulusConfig, takes: str, limit: float) -> SceneError:
-    """limit: largest drive_amplitude that can be played"""
+def _too_loud(config: StimulusConfig, required: str, limit: float) -> SceneError:
+    """Return the error; limit: largest allowed drive_amplitude."""
     of = {"carrier": "the carrier's", "mean": "the amplitude of steady sound with the same mean ARP"}[
         config.am_normalisation
     ]
@@ -159,7 +159,7 @@ def _too_loud(config: StimulusConfig, takes: str, limit: float) -> SceneError:
     advice = math.floor(1e4 * limit) / 1e4
     return SceneError(
         f"drive_amplitude {_amplitude(config):g} is {of} (am_normalisation {config.am_normalisation}), so with "
-        f"am_depth {config.am_depth:g} the loudest moment needs {takes}; set drive_amplitude to {advice:g} or "
+        f"am_depth {config.am_depth:g} the loudest moment needs {required}; set drive_amplitude to {advice:g} or "
         "less, am_depth smaller, or am_normalisation to peak"
     )
 
@@ -168,7 +168,7 @@ def _too_loud(config: StimulusConfig, takes: str, limit: float) -> SceneError:
 
 
 def arp_lines(config: StimulusConfig) -> ArpLines | None:
-    """Return the components of a modulation's ARP, without ramp, bursts of burst_window, and ends; or None."""
+    """Return the components of the ARP of a modulation, without ramp, burst_window and ends; or None."""
     am = modulation_of(config)
     if am is None:
         return None
@@ -185,7 +185,7 @@ def _mean(am: Modulation, period: Samples) -> float:
 
 
 def _lines(am: Modulation, period: Samples, frequencies: Sequence[float]) -> Float:
-    """Peak amplitudes of lines [relative to the loudest moment's ARP], shape (k,)."""
+    """Return the peak amplitudes of lines relative to the ARP of the loudest moment, shape (k,)."""
     # Difference of the ARP from its carrier's, so that the pause between bursts contributes zero
     course = period.weights * (relative_arp(am, period.values) - relative_arp(am, np.zeros(1)))
     return np.array([2.0 * abs(course @ np.exp(-2j * np.pi * f * period.times)) for f in frequencies])
@@ -193,7 +193,7 @@ def _lines(am: Modulation, period: Samples, frequencies: Sequence[float]) -> Flo
 
 @lru_cache(maxsize=256)
 def am_frequencies(config: StimulusConfig) -> tuple[float, ...]:
-    """Frequencies of the modulation in which most of its ARP lies [Hz], the main one first; () without modulation."""
+    """Return the frequencies with most of the ARP of the modulation [Hz], the main one first; () without modulation."""
     am, frequency = modulation_of(config), config.am_frequency_Hz
     if am is None:
         return ()
@@ -210,7 +210,7 @@ def am_frequencies(config: StimulusConfig) -> tuple[float, ...]:
 
 
 def _of_course(am: Modulation) -> tuple[float, ...]:
-    """Return the strongest line of a file's course, and the frequency below which most of its power lies [Hz]."""
+    """Return the strongest line of a course, and the frequency with most of its power below [Hz]."""
     course = samples(am.waveform)
     power = np.abs(np.fft.rfft(relative_arp(am, course.values))[1:]) ** 2
     frequencies = np.arange(1, len(power) + 1) / (2.0 * course.times[0] * len(course.times))
@@ -222,9 +222,9 @@ def _of_course(am: Modulation) -> tuple[float, ...]:
 
 
 def sharpest_s(config: StimulusConfig) -> float | None:
-    """Time since the sound's or a period's beginning at which the modulated ARP changes fastest [s], or None.
+    """Return the time since the start of the sound or a period at which the ARP changes fastest [s], or None.
 
-    A jump of a rectangle, else the quietest moment, where a full modulation has a cusp in the pressure.
+    It is the jump of a rectangle, and otherwise the quietest moment, where full modulation has a cusp in the pressure.
     """
     am = modulation_of(config)
     if am is None:

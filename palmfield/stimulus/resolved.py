@@ -1,4 +1,4 @@
-"""Keys of a stimulus, completed from the rest of the scene or from a file."""
+"""Keys of a stimulus, completed with data of the scene or of a file."""
 
 from functools import lru_cache
 from typing import Any
@@ -12,7 +12,7 @@ from palmfield.stimulus.focus_table import FocusTable
 
 
 class ResolvedStimulus(StimulusConfig):
-    """A stimulus whose course no longer needs a file or a surface."""
+    """A stimulus with all data from files and surfaces."""
 
     model_config = ConfigDict(ser_json_bytes="base64")
 
@@ -30,16 +30,16 @@ def resolved(
     duty_exponent: float = 2.0,
     focus_table: FocusTable | None = None,
 ) -> StimulusConfig:
-    """Return the keys with the length of a path through sites [m], a file's waveform or foci, and duty exponent.
+    """Return the keys with the length of a path through sites [m], waveform or foci of a file, and duty exponent.
 
-    The keys themselves where none of these matters.
+    If none of these applies, `config` is returned.
     """
-    known: dict[str, Any] = {"sites_length_m": sites_length_m, "am_table": am_table, "focus_table": focus_table}
+    additions: dict[str, Any] = {"sites_length_m": sites_length_m, "am_table": am_table, "focus_table": focus_table}
     pulses = focus_table is not None and focus_table.quantity == "duty"
     if pulses or (config.modulation == "am" and config.am_quantity == "duty"):
-        known["duty_exponent"] = duty_exponent
-    known = {key: value for key, value in known.items() if value is not None}
-    if not known:
+        additions["duty_exponent"] = duty_exponent
+    additions = {key: value for key, value in additions.items() if value is not None}
+    if not additions:
         return config
-    given = {key: getattr(config, key) for key in config.model_fields_set}
-    return ResolvedStimulus.model_validate(given | known)
+    present = {key: getattr(config, key) for key in config.model_fields_set}
+    return ResolvedStimulus.model_validate(present | additions)

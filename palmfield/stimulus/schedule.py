@@ -1,4 +1,4 @@
-"""Place and level of the focus as functions of time. A stimulus is independent of array and hand."""
+"""Position and level of the focus as functions of time, independent of array and hand."""
 
 import math
 from collections.abc import Sequence
@@ -31,25 +31,25 @@ if TYPE_CHECKING:
     from palmfield.stimulus.curves import PlanePath
 
 SPOT_M = 0.0103
-"""Width of a usual focus, for the frequencies that a moving one excites."""
+"""Width of a typical focus, for the frequencies that a moving focus excites."""
 TICK_S = 1e-12
-"""Times closer to each other than this are the same."""
+"""Times closer to each other than this are equal."""
 KEPT = 4096
-"""Cached configurations: enough for many worlds, each with its own."""
+"""Number of cached configurations, enough for many worlds with different ones."""
 TABLE_SAMPLES, MOST_TABLE_SAMPLES, TABLE_PLACES = 1024, 1 << 16, 8
-"""Moments of a table of foci, and places on their paths, from which its frequencies are estimated."""
+"""Number of times of a table of foci, and of points on their paths, from which its frequencies are estimated."""
 MOST_TURNS = 1000
-"""Largest number of turns of a path until its level repeats: longer times count as the nearest shorter one."""
+"""Largest number of turns of a path until its level repeats; longer repetitions are approximated by a shorter one."""
 LM_SAMPLES = 512
-"""Least number of samples in a turn of lateral modulation, for its harmonics."""
+"""Smallest number of samples in a turn of lateral modulation, for its harmonics."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Command to the array at one moment.
+    """Focus and level at one moment.
 
     focus: position in the frame of the stimulus [m]; for a path on the skin the arc length from its start, then 0, 0;
-        for a table the time since its beginning [s], then 0, 0. Shape (3,)
+        for a table the time since its start [s], then 0, 0. Shape (3,)
     arp_factor: radiation pressure relative to the loudest moment, 0..1 (its square root is that of the pressure)
     """
 
@@ -61,7 +61,7 @@ class Frame:
 def plane_path(config: StimulusConfig) -> "PlanePath | None":
     """Return the path's shape about its centre; None for a point, and for sites, whose path depends on the surface.
 
-    Raises SceneError for sizes that make no shape.
+    Raises SceneError for invalid sizes.
     """
     if config.path in ("point", "sites", "file"):
         return None
@@ -71,51 +71,51 @@ def plane_path(config: StimulusConfig) -> "PlanePath | None":
     c = config
     match c.path:
         case "circle":
-            return shapes.circle(_given(c.path_diameter_m))
+            return shapes.circle(_required(c.path_diameter_m))
         case "lm":
-            return shapes.line(_given(c.path_width_m), c.path_direction_deg)
+            return shapes.line(_required(c.path_width_m), c.path_direction_deg)
         case "zigzag":
-            return shapes.zigzag(_given(c.path_width_m), _given(c.path_height_m), c.path_corners)
+            return shapes.zigzag(_required(c.path_width_m), _required(c.path_height_m), c.path_corners)
         case "square":
-            return shapes.square(_given(c.path_width_m))
+            return shapes.square(_required(c.path_width_m))
         case "z":
-            return shapes.z_shape(_given(c.path_width_m), _given(c.path_height_m))
+            return shapes.z_shape(_required(c.path_width_m), _required(c.path_height_m))
         case "lissajous":
             along_x, along_y = c.path_ratio
-            size = _given(c.path_width_m), _given(c.path_height_m)
+            size = _required(c.path_width_m), _required(c.path_height_m)
             return shapes.lissajous(*size, along_x, along_y, c.path_phase_deg)
         case "letters":
-            return shapes.letters(c.path_text or "", _given(c.path_height_m))
+            return shapes.letters(c.path_text or "", _required(c.path_height_m))
     drawn = c.path_through_m
-    path = shapes.polyline(np.reshape(drawn, (-1, 2))) if drawn else shapes.line(_given(c.path_width_m))
+    path = shapes.polyline(np.reshape(drawn, (-1, 2))) if drawn else shapes.line(_required(c.path_width_m))
     stroke = zigzag_stroke_m(c)
-    return path if stroke is None else shapes.zigzagged(path, _given(c.path_zigzag_width_m), stroke)
+    return path if stroke is None else shapes.zigzagged(path, _required(c.path_zigzag_width_m), stroke)
 
 
 def zigzag_stroke_m(config: StimulusConfig) -> float | None:
-    """Return the distance along the path of one stroke of the zigzag about it [m]; None without one."""
+    """Return the distance along the path of one stroke of its zigzag [m]; None without a zigzag."""
     if config.path_zigzag_width_m is None:
         return None
-    return _given(config.path_speed_m_s) * config.path_zigzag_width_m / _given(config.path_zigzag_speed_m_s)
+    return _required(config.path_speed_m_s) * config.path_zigzag_width_m / _required(config.path_zigzag_speed_m_s)
 
 
-def _given(value: float | None) -> float:
+def _required(value: float | None) -> float:
     assert value is not None
     return value
 
 
 def table_of(config: StimulusConfig) -> FocusTable | None:
-    """The table of a path from a file, None for all others."""
+    """Return the table of a path from a file, None for all others."""
     return config.focus_table if config.path == "file" and isinstance(config, ResolvedStimulus) else None
 
 
 def _end(config: StimulusConfig) -> str:
-    """Return what happens at the end of the path: path_end, but a table is played once."""
+    """Return path_end, or stop for a table without this key."""
     return "stop" if config.path == "file" and config.path_end == "back" else config.path_end
 
 
 def length_m(config: StimulusConfig) -> float:
-    """Length of the path [m], one way if it is open; 0 for a point."""
+    """Return the length of the path [m], one way if it is open; 0 for a point."""
     if (table := table_of(config)) is not None:
         return table.moved_m
     if isinstance(config, ResolvedStimulus) and config.sites_length_m is not None:
@@ -125,18 +125,18 @@ def length_m(config: StimulusConfig) -> float:
 
 
 def is_closed(config: StimulusConfig) -> bool:
-    """Whether the path comes back to its start by itself."""
+    """Return whether the path is closed."""
     path = plane_path(config)
     return path is not None and path.closed
 
 
 def turn_m(config: StimulusConfig) -> float:
-    """Length of a turn [m]: there and back on an open path, unless path_end is otherwise."""
+    """Return the length of a turn [m]: there and back on an open path with path_end back."""
     return length_m(config) * (2.0 if not is_closed(config) and _end(config) == "back" else 1.0)
 
 
 def turn_rate_Hz(config: StimulusConfig) -> float | None:
-    """Turns of the path per second, without regard to path_end; None for a point."""
+    """Return the turns of the path per second, for any path_end; None for a point."""
     if config.path == "point":
         return None
     if config.path == "file":
@@ -144,26 +144,26 @@ def turn_rate_Hz(config: StimulusConfig) -> float | None:
         return None if table is None else 1.0 / table.length_s
     if config.path_rate_Hz is not None:
         return config.path_rate_Hz
-    return math.hypot(_given(config.path_speed_m_s), config.path_zigzag_speed_m_s or 0.0) / turn_m(config)
+    return math.hypot(_required(config.path_speed_m_s), config.path_zigzag_speed_m_s or 0.0) / turn_m(config)
 
 
 def points_a_turn(config: StimulusConfig) -> int:
-    """Number of points at which the focus rests in a turn, 0 if it moves smoothly; of lm there and back."""
+    """Return the number of points at which the focus rests in a turn (lm: there and back); 0 for continuous motion."""
     if config.path == "lm" and config.path_step_m is not None:
-        return 2 * round(_given(config.path_width_m) / config.path_step_m)
+        return 2 * round(_required(config.path_width_m) / config.path_step_m)
     if (table := table_of(config)) is not None:
         return table.length_samples if table.between == "held" else 0
     return config.path_points
 
 
 def path_end_s(config: StimulusConfig) -> float | None:
-    """Time [s] at which a path with path_end 'stop' is over, else None."""
+    """Return the time [s] at which a path with path_end 'stop' ends, else None."""
     rate = turn_rate_Hz(config)
     return None if rate is None or _end(config) != "stop" else config.start_s + 1.0 / rate
 
 
 def silent_after_s(config: StimulusConfig) -> float | None:
-    """Time [s] after which the sound has ended, or None."""
+    """Return the time [s] at which the sound ends, or None."""
     ends = [config.stop_s, path_end_s(config)]
     if config.burst_count is not None:
         assert config.burst_length_s and config.burst_period_s
@@ -172,9 +172,9 @@ def silent_after_s(config: StimulusConfig) -> float | None:
 
 
 def steady_stretch_s(config: StimulusConfig) -> tuple[float, float]:
-    """Return the interval [s] in which modulation, bursts and path alone set the level: no ramp and no silence.
+    """Return the interval [s] after the ramp and before the end of the sound.
 
-    The end is inf for sound without end, and before the beginning if there is no such interval.
+    Its end is inf for sound without end, and before its beginning if there is no such interval.
     """
     begin, end = config.start_s + config.ramp_s, silent_after_s(config)
     if config.burst_count == 1 and config.burst_window != "rectangular":
@@ -183,16 +183,16 @@ def steady_stretch_s(config: StimulusConfig) -> tuple[float, float]:
 
 
 def repeats(config: StimulusConfig) -> bool:
-    """Whether the stimulus is periodic between its beginning and its end.
+    """Return whether the stimulus is periodic between its beginning and its end.
 
-    Bursts, a path that runs once, and a file's course are not.
+    Bursts, a path that is traversed once, and a course from a file are not periodic.
     """
     course = config.modulation == "am" and am_period_s(config) is None
     return config.burst_window == "none" and path_end_s(config) is None and not course
 
 
 def level_jumps(config: StimulusConfig) -> bool:
-    """Whether the level jumps repeatedly, as with rectangular bursts or a rectangular modulation."""
+    """Return whether the level jumps repeatedly, as with rectangular bursts or a rectangular modulation."""
     return config.burst_window == "rectangular" or _is_rectangle(config)
 
 
@@ -201,21 +201,21 @@ def _is_rectangle(config: StimulusConfig) -> bool:
 
 
 def frame_rates(config: StimulusConfig) -> list[float]:
-    """Rates [1/s] of held values: points of a stepped path, and control ticks; none if smooth."""
+    """Return the rates [1/s] of held values: points of a stepped path, and control ticks; empty if there are none."""
     return [rate for rate, _ in _grids(config)]
 
 
 def frame_at(config: StimulusConfig, t: float) -> Frame:
-    """Focus and level at time t [s].
+    """Return focus and level at time t [s].
 
-    A control tick holds both; a path point holds only the focus, and the level varies between points.
+    Between control ticks both are constant; between path points only the focus is constant.
     """
     focus, factor = frames_at(config, np.array([t]))
     return Frame(focus[0], float(factor[0]))
 
 
 def first_point(config: StimulusConfig) -> Float:
-    """The point of the stimulus where its sound begins, `Frame.focus` at start_s, shape (3,)."""
+    """Return the point of the stimulus at the start of the sound, `Frame.focus` at start_s, shape (3,)."""
     if config.path != "point":
         return _first_on_path(config)
     _, timing = _timings.get(id(config)) or _timed(config)
@@ -228,7 +228,7 @@ def _first_on_path(config: StimulusConfig) -> Float:
 
 
 def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
-    """Foci [m], shape (n, 3), and ARP factors, shape (n,), at times [s], shape (n,); see `frame_at`."""
+    """Return foci [m], shape (n, 3), and ARP factors, shape (n,), at times [s], shape (n,); see `frame_at`."""
     _, timing = _timings.get(id(config)) or _timed(config)
     if timing.control_rate > 0.0:
         times = _floor(times, timing.control_rate, 0.0)
@@ -247,7 +247,7 @@ def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
         foci[:, 0] = arcs
         foci[:, 1:] = 0.0
     elif config.path == "circle":
-        # Exactly round; the polygon is for drawn paths.
+        # An exact circle; the polygon is for drawn paths
         angle = (2.0 * math.pi / timing.length_m) * arcs
         foci[:, 0] += timing.radius_m * np.cos(angle)
         foci[:, 1] += timing.radius_m * np.sin(angle)
@@ -261,7 +261,7 @@ def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
 
 
 def factors_at(config: StimulusConfig, times: Float) -> Float:
-    """The ARP factors of `frames_at` alone, shape (n,)."""
+    """Return only the ARP factors of `frames_at`, shape (n,)."""
     if config.path in ("letters", "file"):
         return frames_at(config, times)[1]
     _, timing = _timings.get(id(config)) or _timed(config)
@@ -271,16 +271,16 @@ def factors_at(config: StimulusConfig, times: Float) -> Float:
 
 
 class Moments(NamedTuple):
-    """Moments of equal steps at which a load is evaluated, in order, and the load's weights in each step.
+    """Times at which a load is evaluated for equal steps, and the weights of these loads in each step.
 
-    Without jumps and held values the load is linear in a step: its moments are the step's two ends, shared with the
-    neighbouring steps. A step in which focus or level jump, or are held, is cut at each jump and tick. Its moments are
-    the middles of these parts, and its load is their mean, weighted by length, so that the impulse is exact.
+    Without jumps and held values the load is linear in a step, and the times are the two ends of the step, shared with
+    the neighbouring steps. A step in which focus or level jump or are held is divided at each jump and tick. The times
+    are the middles of these parts, and the load is their mean, weighted by length, so that the impulse is exact.
 
-    times: [s], shape (m,)
-    first, last: weights of the moments' loads in the load at the beginning and the end of each step, shape (count, m)
-    linear: for each moment, whether the load is linear from the moment before over a whole step
-    held_s: for each moment, the length of its part [s]; 0 at the end of a straight line
+    times: [s], rising, shape (m,)
+    first, last: weights of the loads in the load at the beginning and the end of each step, shape (count, m)
+    linear: for each time, whether the load is linear from the time before over a whole step
+    held_s: for each time, length of its part [s]; 0 at the end of a linear step
     step_s: length of a step [s]
     """
 
@@ -295,9 +295,9 @@ class Moments(NamedTuple):
 def substep_moments(
     stimuli: Sequence[StimulusConfig], t0: float, step_s: float, count: int, *, hold: bool = False
 ) -> Moments:
-    """Return the moments of `count` steps of `step_s` [s] from time t0 [s] on, common to several stimuli that add up.
+    """Return the common moments of several stimuli for `count` steps of `step_s` [s] from time t0 [s] on.
 
-    hold: treat every step as held, so that the mean of each one is computed
+    hold: whether to treat every step as held, so that its mean is computed
     """
     end = t0 + count * step_s
     grids: list[tuple[float, float]] = []
@@ -321,23 +321,23 @@ def substep_moments(
 
 
 def _cut(t0: float, step_s: float, count: int, changes: list[float], ticks: list[float], hold: bool) -> Moments:
-    """`substep_moments` with jumps or held values."""
+    """Return `substep_moments` for steps with jumps or held values."""
     times: list[float] = []
     linear: list[bool] = []
     held_s: list[float] = []
     weights: list[tuple[int, int, float, float]] = []
     for i in range(count):
         begin, end = t0 + i * step_s, t0 + (i + 1) * step_s
-        edges, held = [begin, end], hold
+        edges, divided = [begin, end], hold
         for t in changes:
             if begin + TICK_S < t <= end + TICK_S:
-                held = True
+                divided = True
                 if t < end:
                     edges.append(t)
         for t in ticks:
             if begin < t < end:
                 edges.append(t)
-        if held:
+        if divided:
             edges.sort()
             for a, b in pairwise(edges):
                 if b - a > TICK_S:
@@ -365,7 +365,7 @@ def _cut(t0: float, step_s: float, count: int, changes: list[float], ticks: list
 
 @lru_cache(maxsize=64)
 def _straight(count: int) -> Moments:
-    """Moments of steps of length 1 from time 0 on without jumps; the arrays are shared and read-only."""
+    """Return moments of steps of length 1 from time 0 on without jumps; the arrays are shared and read-only."""
     first, last = np.eye(count, count + 1), np.eye(count, count + 1, 1)
     linear = (False, *[True] * count)
     return Moments(_locked(np.arange(count + 1.0)), _locked(first), _locked(last), linear, (0.0,) * (count + 1), 1.0)
@@ -373,7 +373,7 @@ def _straight(count: int) -> Moments:
 
 @lru_cache(maxsize=64)
 def _middles(count: int) -> Moments:
-    """As `_straight`, with the middle of each step as its only moment."""
+    """Return moments as `_straight`, with the middle of each step as its only time."""
     whole = _locked(np.eye(count))
     return Moments(_locked(0.5 + np.arange(float(count))), whole, whole, (False,) * count, (1.0,) * count, 1.0)
 
@@ -384,7 +384,7 @@ def _locked(values: Float) -> Float:
 
 
 def jumps(config: StimulusConfig, start: float, end: float) -> set[float]:
-    """Times about an interval [s] at which the sound begins or ends, or an open path jumps to its start."""
+    """Return the times about an interval [s] at which the sound begins or ends, or a path jumps to its start."""
     return set(_jumps(config, _timed(config)[1], start, end))
 
 
@@ -396,13 +396,13 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
     if config.burst_window == "rectangular":
         trains.append((config.burst_length_s, config.burst_period_s, config.burst_count))
     if _is_rectangle(config):
-        period = 1.0 / _given(config.am_frequency_Hz)
-        trains.append((_given(config.am_waveform_duty) * period, period, None))
+        period = 1.0 / _required(config.am_frequency_Hz)
+        trains.append((_required(config.am_waveform_duty) * period, period, None))
     if trains:
         from palmfield.stimulus.bursts import onsets
     for length, every, count in trains:
         ends = start - config.start_s - 1e-9, end - config.start_s + 1e-9
-        at = onsets(*ends, length_s=_given(length), period_s=_given(every), count=count)
+        at = onsets(*ends, length_s=_required(length), period_s=_required(every), count=count)
         times += (config.start_s + at).tolist()
     if timing.jump_rate > 0.0:
         rate = timing.jump_rate
@@ -413,13 +413,13 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
 
 
 def edges_of(config: StimulusConfig) -> tuple[float, ...] | None:
-    """Beginning and end of a stimulus [s], if neither focus nor level jump or are held otherwise; else None."""
+    """Return beginning and end of a stimulus [s] if it has no other jumps and no held values; else None."""
     _, timing = _timings.get(id(config)) or _timed(config)
     return timing.edges if timing.smooth and not timing.grids else None
 
 
 def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int) -> float:
-    """Mean of the ARP factor over an interval [s], from `count` midpoints between jumps."""
+    """Return the mean of the ARP factor over an interval [s], from `count` midpoints between jumps."""
     _, timing = _timings.get(id(config)) or _timed(config)
     if timing.steady and config.start_s + config.ramp_s <= start and end <= min(timing.ends, default=math.inf):
         return 1.0
@@ -430,8 +430,8 @@ def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int
 class Envelope(NamedTuple):
     """Parameters of the level of a stimulus over time: numbers, or columns of shape (n, 1) for n stimuli.
 
-    start_s; ends: times after which the sound has ended [s]; ramp_s: None without a ramp
-    am: None without modulation; burst: keys of `burst`, None without bursts
+    start_s: start of the sound [s]; ends: times at which the sound ends [s]; ramp_s: None without a ramp
+    am: None without modulation; burst: arguments of `burst`, None without bursts
     """
 
     start_s: float | Float
@@ -442,7 +442,7 @@ class Envelope(NamedTuple):
 
 
 def envelope_of(config: StimulusConfig) -> Envelope:
-    """Return the level over time of the keys of a stimulus."""
+    """Return the envelope of the level of a stimulus."""
     bursts = None
     if config.burst_window != "none":
         assert config.burst_length_s and config.burst_period_s
@@ -465,15 +465,15 @@ def envelope_of(config: StimulusConfig) -> Envelope:
 class _Timing:
     """Constants of a stimulus.
 
-    focus: [m], shape (3,); start_s; ends: times after which the sound has ended [s]; edges: start and ends; envelope
-    control_rate, point_rate: rates at which all is held, and at which the focus is [1/s]; 0 for none
+    focus: [m], shape (3,); start_s: start of the sound [s]; ends: times at which it ends [s]; edges: start and ends
+    control_rate, point_rate: rates of ticks that hold focus and level, and only the focus [1/s]; 0 for none
     grids: (rate, time of the first tick) of held values
-    path: its shape in the plane, None for a point and for sites; on_skin: whether it is drawn on the surface
-    length_m, turn_rate: of the path, 0 for a point; radius_m: of a circle
-    runs: how the arc continues: once, round (again from the start), or back and forth
+    path: shape in the plane, None for a point and for sites; on_skin: whether it is drawn on the surface
+    length_m, turn_rate: of the path, 0 for a point; radius_m: radius of a circle
+    runs: continuation of the arc: once, round (again from the start), or back and forth
     jump_rate: jumps of an open path to its start per second, 0 for none; smooth: whether there are jumps only at the
         edges; steady: whether the level is 1 from the end of the ramp to the first end
-    table: of foci over time; duty_exponent: of the device that plays it
+    table: foci over time; duty_exponent: of the device
     """
 
     focus: Float
@@ -498,8 +498,8 @@ class _Timing:
 
 
 _timings: dict[int, tuple[StimulusConfig, _Timing]] = {}
-"""By the id of a configuration, since hashing its 40 keys takes longer than computing its moments. The cache holds the
-configuration, so that its id is not reused."""
+"""Cache by the id of a configuration, because hashing its 40 keys takes longer than computing its moments. It also
+stores the configuration, so that the id is not reused."""
 
 
 def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
@@ -544,35 +544,35 @@ def _point_rate(config: StimulusConfig) -> float:
 
 
 def _grids(config: StimulusConfig) -> list[tuple[float, float]]:
-    """(rate, time of the first tick) of held values."""
+    """Return (rate, time of the first tick) of held values."""
     grids = [(_point_rate(config), config.start_s), (config.control_rate_Hz, 0.0)]
     return [(rate, first) for rate, first in grids if rate > 0]
 
 
 def _floor(times: Float, rate: float, first: float) -> Float:
-    # A tick less than a nanosecond ahead counts as passed, so that t = k / rate lands on frame k.
+    # A tick less than a nanosecond ahead is treated as passed, so that t = k / rate is in frame k
     return first + np.floor((times - first + 1e-9) * rate) / rate
 
 
 def _since_table(timing: _Timing, table: FocusTable, times: Float) -> Float:
-    """Times since the table's beginning [s], 0 to its length, shape (n,)."""
+    """Return times since the start of the table [s], 0 to its length, shape (n,)."""
     since = np.maximum(times - timing.start_s, 0.0)
     if timing.runs == "round":
         since -= np.floor((since + 1e-9) / table.length_s) * table.length_s
         since = np.maximum(since, 0.0)
     if table.between == "held":
-        # By the number of the sample, so that a point has the same time in every repetition
+        # From the sample number, so that a point has the same time in every repetition
         since = np.floor((since + 1e-9) * table.rate_Hz) / table.rate_Hz
     return np.minimum(since, table.length_s)
 
 
 def _arcs(timing: _Timing, times: Float) -> Float:
-    """Arc length from the start of the path at times [s], 0 to its length [m], shape (n,)."""
+    """Return arc lengths from the start of the path at times [s], 0 to its length [m], shape (n,)."""
     turns: Float = timing.turn_rate * (times - timing.start_s)
     if timing.runs == "once":
         return timing.length_m * np.minimum(np.maximum(turns, 0.0), 1.0)
     if timing.runs == "round":
-        # Rounding must not exchange the end of a turn and its beginning if the two differ.
+        # Rounding must not exchange end and beginning of a turn, which may be different points
         return timing.length_m * np.mod(turns + 1e-12, 1.0)
     from palmfield.stimulus.curves import folded
 
@@ -580,7 +580,7 @@ def _arcs(timing: _Timing, times: Float) -> Float:
 
 
 def arp_factors(envelope: Envelope, times: Float) -> Float:
-    """ARP relative to the loudest moment, 0..1, at times [s], shape (m,); of n stimuli at once (n, m)."""
+    """Return the ARP relative to the loudest moment, 0..1, at times [s], shape (m,), or (n, m) for n stimuli."""
     since: Float = times - envelope.start_s
     level = (since >= -1e-9).astype(np.float64)
     for end in envelope.ends:
@@ -602,7 +602,7 @@ def arp_factors(envelope: Envelope, times: Float) -> Float:
 
 
 def _level_frequencies(config: StimulusConfig) -> list[float]:
-    """Return frequencies of the stimulus's level, independent of the focus: AM and bursts [Hz]."""
+    """Return the frequencies of the level [Hz], of AM and bursts, without the motion of the focus."""
     frequencies = list(am_frequencies(config))
     if config.burst_window != "none" and config.burst_period_s and config.burst_count != 1:
         frequencies.append(1.0 / config.burst_period_s)
@@ -610,10 +610,10 @@ def _level_frequencies(config: StimulusConfig) -> list[float]:
 
 
 def repeat_rate_Hz(config: StimulusConfig) -> float | None:
-    """Rate at which a path and the level on it repeat together [1/s]; None for a point.
+    """Return the common repetition rate of a path and its level [1/s]; None for a point.
 
-    A place of the skin is loaded by the product of both, whose lines are sums and differences of theirs. The level of a
-    file's course, whose lines are no multiples of one, counts as constant.
+    The load of a point of the skin is the product of both, whose lines are sums and differences of their frequencies.
+    The level of a course from a file, which is not periodic, is treated as constant.
     """
     rate = turn_rate_Hz(config)
     if rate is None or (config.am_frequency_Hz is None and am_frequencies(config)):
@@ -624,9 +624,9 @@ def repeat_rate_Hz(config: StimulusConfig) -> float | None:
 
 
 def main_frequencies(config: StimulusConfig) -> list[float]:
-    """Frequencies [Hz] of most of the response of the skin: AM and its harmonics in the ARP; path harmonics.
+    """Return the frequencies [Hz] of most of the response of the skin: harmonics of AM in the ARP, and of the path.
 
-    Empty for a load that does not repeat.
+    The list is empty for a load that does not repeat.
     """
     frequencies = _level_frequencies(config)
     rate = turn_rate_Hz(config)
@@ -641,7 +641,7 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
         if config.path == "circle":
             chosen = range(1, min(count, MOST_HARMONICS) + 1)
         elif count > MOST_HARMONICS:
-            # On a long path each place of the skin is loaded by single passages, of duration w / v.
+            # On a long path each point of the skin is loaded by single passages, of duration w / v.
             chosen = range(count // 4, count + 1, count // 4)
         frequencies += [rate * n for n in chosen if rate * n <= HIGHEST_HZ] or [HIGHEST_HZ]
     return sorted(set(frequencies))
@@ -649,10 +649,10 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
 
 @lru_cache(maxsize=KEPT)
 def _table_frequencies(table: FocusTable) -> list[float]:
-    """Return the strongest line of the load at places that a table's foci pass, and the frequency below which most
-    lies.
+    """Return the strongest line of the load on the paths of a table's foci, and the frequency with most power below.
 
-    Each place is loaded by passing spots of SPOT_M, with their present level [Hz]; () for fixed foci.
+    The load of a point is that of passing spots of SPOT_M with their present level [Hz]. The result is () for fixed
+    foci.
     """
     count = int(min(max(TABLE_SAMPLES, 4 * table.length_s * HIGHEST_HZ), MOST_TABLE_SAMPLES))
     times: Float = np.asarray((np.arange(count) + 0.5) * (table.length_s / count), np.float64)
@@ -673,10 +673,10 @@ def _table_frequencies(table: FocusTable) -> list[float]:
 
 
 def _lm_frequencies(config: StimulusConfig, rate: float) -> list[float]:
-    """Frequencies of lateral modulation [Hz]: those of the motion of the focus to and fro, and twice the turns.
+    """Return the frequencies of lateral modulation [Hz]: those of the back-and-forth motion, and twice the turns.
 
-    On a small line the ARP at a point is proportional to the displacement of the focus, where it varies along the line.
-    Under the middle, which the focus passes twice a turn, it is quadratic.
+    On a short line the ARP at a point is linear in the displacement of the focus. In the middle, which the focus passes
+    twice per turn, it is quadratic.
     """
     from palmfield.stimulus.curves import folded
 

@@ -1,4 +1,4 @@
-"""Standard stimuli: used in published mid-air experiments, with source and outcome, one file each.
+"""Standard stimuli of published mid-air experiments, with source and outcome, one file each.
 
 from palmfield.stimulus.standard import standard
 print(standard("lm_small_steps").published)
@@ -15,14 +15,14 @@ from palmfield.config import StimulusConfig
 from palmfield.config.base import Positive
 from palmfield.data import folder
 from palmfield.errors import SceneError, fault_of, refuse_unknown
-from palmfield.input_files import read_toml
+from palmfield.given_files import read_toml
 
 
 class StandardStimulus(BaseModel):
-    """One stimulus. keys: of palmfield.stimulus, as Python has them
+    """One stimulus. keys: keys of palmfield.stimulus, as Python values
 
-    source: publication; published: its outcome; read: the part of the source that was read for this file
-    assumed: choices of this file that the source does not specify; duration_s: a sufficient duration [s]
+    source: publication; published: outcome; read: part of the source that was read for this file
+    assumed: choices of this file that the source does not specify; duration_s: sufficient duration [s]
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -42,15 +42,15 @@ class StandardStimulus(BaseModel):
 
     @property
     def config(self) -> StimulusConfig:
-        """Its keys, checked."""
+        """Checked keys."""
         return StimulusConfig(**self.keys)
 
     def keys_for(self, instance: str) -> dict[str, object]:
-        """Return its keys as `palmfield.load` and `--set` name them, for an instance of palmfield.stimulus."""
+        """Return the keys for an instance of palmfield.stimulus, with the names of `palmfield.load` and `--set`."""
         return {f"{instance}.{key}": value for key, value in self.keys.items()}
 
     def texts(self) -> dict[str, str]:
-        """Return its keys as in MJCF: lists with blanks between."""
+        """Return the keys as MJCF text, with lists separated by blanks."""
         return {
             key: " ".join(f"{x:g}" for x in value) if isinstance(value, list) else str(value)
             for key, value in self.keys.items()
@@ -59,12 +59,12 @@ class StandardStimulus(BaseModel):
 
 @cache
 def names() -> tuple[str, ...]:
-    """Names of all standard stimuli, sorted."""
+    """Return the sorted names of all standard stimuli."""
     return tuple(sorted(path.stem for path in (folder("mjcf") / "stimuli").glob("*.toml")))
 
 
 def standard(name: str) -> StandardStimulus:
-    """Return the stimulus of a name. Raises SceneError for another one."""
+    """Return the stimulus of this name. Raises SceneError for an unknown name."""
     refuse_unknown(SceneError, "stimulus {} is unknown", name, names())
     return read_stimulus(folder("mjcf") / "stimuli" / f"{name}.toml")
 

@@ -1,7 +1,7 @@
-"""Paths on a triangle mesh: a plane path drawn along the surface, and the shortest way through points on it.
+"""Paths on a triangle mesh: plane paths drawn along the surface, and shortest paths through points.
 
-Straight lines on the mesh cross an edge as they would with both triangles laid flat (K. Polthier, M. Schmies,
-Straightest geodesics on polyhedral surfaces, 1998).
+A line on the mesh is straight across an edge if it is straight with both triangles in one plane (K. Polthier, M.
+Schmies, Straightest geodesics on polyhedral surfaces, 1998).
 """
 
 import math
@@ -18,27 +18,27 @@ from palmfield.stimulus.curves import PlanePath, folded, zigzag_about
 from palmfield.types import Float, Int, Surface
 
 REACH_m = 0.02
-"""A start or waypoint further than this from the surface is considered an error."""
+"""Largest distance of a start or waypoint from the surface; beyond it an error is raised."""
 
 TOUCH_m = 1e-9
-"""A path that comes this close to the edge of an open mesh has reached it: far above rounding, far below skin."""
+"""Distance at which a path has reached the edge of an open mesh: far above rounding errors, far below sizes of skin."""
 
 ALONG = 1e-9
-"""Sine of the angle to an edge below which a path runs along it and never reaches it."""
+"""Sine of the angle to an edge below which a path is parallel to it and does not reach it."""
 
 CLOSING_ROUNDS = 12
 CLOSING_SHARE = 0.02
-"""Largest gap of a closed path, as a share of its length, that is bridged by a straight line."""
+"""Largest gap of a closed path, as a share of its length, that is closed by a straight line."""
 
 
 @dataclass(frozen=True)
 class SurfacePath:
     """A path on a triangle mesh that follows the mesh when its vertices move.
 
-    Between two consecutive points the path is straight and within one triangle, the first point's.
-    faces: triangle of each point, shape (n,); barycentric: its place there, weights of the corners, shape (n, 3)
-    arc_m: arc length from the start on the mesh on which the path was made [m], shape (n,)
-    closed: whether it returns to its start (the last point then lies on the first); an open path goes there and back
+    Between two consecutive points the path is straight and within the triangle of the first point.
+    faces: triangle of each point, shape (n,); barycentric: weights of its corners, shape (n, 3)
+    arc_m: arc length from the start on the original mesh [m], shape (n,)
+    closed: whether the last point is the first one; an open path is traversed there and back
     """
 
     faces: Int
@@ -52,10 +52,10 @@ class SurfacePath:
         return float(self.arc_m[-1])
 
     def at(self, arc_m: ArrayLike, vertices: Float, mesh_faces: Int) -> tuple[Float, Float]:
-        """Positions [m] and unit outward normals, shape (k, 3) each, at arc lengths [m], shape (k,), of any size.
+        """Return positions [m] and unit outward normals, shape (k, 3) each, at any arc lengths [m], shape (k,).
 
-        vertices: present places of the vertices of the mesh [m], shape (v, 3); mesh_faces: its triangles, shape (m, 3)
-        Normals are those of the vertices (weighted by angle), interpolated.
+        vertices: present vertices of the mesh [m], shape (v, 3); mesh_faces: its triangles, shape (m, 3)
+        Normals are interpolated from angle-weighted vertex normals.
         """
         corners = mesh_faces[self.faces]
         used = np.zeros(len(vertices), dtype=np.bool_)
@@ -67,12 +67,12 @@ class SurfacePath:
         points = np.einsum("ni,nij->nj", self.barycentric, vertices[corners])
         outward = np.einsum("ni,nij->nj", self.barycentric, normals[corners])
         segment, share = self._between(arc_m)
-        here = (1.0 - share) * outward[segment] + share * outward[segment + 1]
+        normal = (1.0 - share) * outward[segment] + share * outward[segment + 1]
         position = (1.0 - share) * points[segment] + share * points[segment + 1]
-        return position, here / np.linalg.norm(here, axis=1, keepdims=True)
+        return position, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
     def positions(self, arc_m: ArrayLike, vertices: Float, mesh_faces: Int) -> Float:
-        """The positions of `at` alone, shape (k, 3), at a small part of its cost for few arc lengths."""
+        """Return only the positions of `at`, shape (k, 3), which is much faster for few arc lengths."""
         segment, share = self._between(arc_m)
         ends: list[Float] = []
         for n in (segment, segment + 1):
@@ -82,7 +82,7 @@ class SurfacePath:
         return (1.0 - share) * first + share * last
 
     def _between(self, arc_m: ArrayLike) -> tuple[NDArray[np.intp], Float]:
-        """The segment in which each arc length lies, shape (k,), and its share of the segment, shape (k, 1)."""
+        """Return the segment of each arc length, shape (k,), and the share of the segment before it, shape (k, 1)."""
         arc = folded(arc_m, self.arc_m[-1], self.closed)
         segment = np.minimum(np.maximum(self.arc_m.searchsorted(arc, "right") - 1, 0), len(self.arc_m) - 2)
         step = self.arc_m[segment + 1] - self.arc_m[segment]
@@ -92,8 +92,8 @@ class SurfacePath:
 
 @dataclass(frozen=True)
 class _Mesh:
-    """corners: shape (m, 3, 3); normals: unit, shape (m, 3); across[f, i]: face beyond the edge opposite corner i, or
-    -1 where there is none or more than one."""
+    """A mesh. corners: shape (m, 3, 3); normals: unit, shape (m, 3); across[f, i]: face beyond the edge opposite corner
+    i, -1 if there is none or more than one."""
 
     corners: Float
     normals: Float
@@ -102,7 +102,7 @@ class _Mesh:
 
 @dataclass(frozen=True)
 class _Place:
-    """A point of the mesh: face, position [m], and a unit tangent, the image of the plane path's x."""
+    """A point of the mesh: face, position [m], and the unit tangent that corresponds to x of the plane path."""
 
     face: int
     position: Float
@@ -112,15 +112,15 @@ class _Place:
 def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: PlanePath) -> SurfacePath:
     """Draw a plane path on a surface, segment by segment along straight lines of the mesh.
 
-    start_point: place of the origin of the path's plane [m], shape (3,), moved to the nearest point of the surface.
-        From there the walk goes straight to the path's first point, then draws.
-    direction: the path's +x, shape (3,), of any length; projected to the tangent plane. +y is 90 degrees
+    start_point: position of the origin of the path's plane [m], shape (3,), moved to the nearest point of the surface.
+        From there a straight line, which is not drawn, goes to the first point of the path.
+    direction: +x of the path, shape (3,), of any length; projected to the tangent plane. +y is 90 degrees
         counter-clockwise from it, seen from outside.
-    An open path keeps its arc lengths. A closed one would not meet its start on curved skin: its turning is reduced
-    evenly by the rotation due to the skin's curvature (Gauss-Bonnet), and the remaining gap is closed. Its `arc_m` is
-    scaled to the plane path's length, from which the real one differs a little (see `_closed_walk`).
+    An open path keeps its arc lengths. A closed path would not meet its start on curved skin. Its turning is therefore
+    reduced evenly by the rotation due to the curvature (Gauss-Bonnet), and the remaining gap is closed. Its `arc_m` is
+    scaled to the length of the plane path, from which the true length differs slightly (see `_closed_walk`).
     Raises SceneError for a start more than 20 mm off the surface, a direction along the normal, triangles without area,
-    a path that runs off an open mesh or ends on its edge, to TOUCH_m (it names the arc length), and a closed one that
+    a path that leaves an open mesh or ends within TOUCH_m of its edge (with the arc length), and a closed path that
     misses its start by more than 2 % of its length, as on skin that is too curved for its size.
     """
     start = _vector("start_point", start_point)
@@ -153,10 +153,10 @@ def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: 
 
 
 def through(surface: Surface, waypoints: ArrayLike) -> SurfacePath:
-    """Return the shortest path along a surface through points in turn, an open path.
+    """Return the open shortest path along a surface through points in order.
 
     waypoints: [m], shape (k, 3), at least two; each is moved to the nearest point of the surface
-    Raises SceneError for another shape, a waypoint more than 20 mm off the surface, the same point twice in turn, and
+    Raises SceneError for another shape, a waypoint more than 20 mm off the surface, equal consecutive points, and
     points on disconnected parts of the mesh.
     """
     points = np.asarray(waypoints, dtype=np.float64)
@@ -172,11 +172,11 @@ def through(surface: Surface, waypoints: ArrayLike) -> SurfacePath:
 
 
 def zigzag_through(surface: Surface, waypoints: ArrayLike, width_m: float, stroke_m: float) -> SurfacePath:
-    """Return a zigzag along a surface about the shortest path through points in turn, an open path.
+    """Return an open zigzag along a surface about the shortest path through points in order.
 
-    Its corners lie on both sides of that path, half of width_m along a straight line of the surface at right angles to
-    it, a stroke each stroke_m along it; strokes are the shortest paths from corner to corner. It begins on the right,
-    as seen from outside. Raises SceneError as `through`, for bad sizes, and if the surface ends within the width.
+    Its corners are at a distance of width_m / 2 on both sides of that path, every stroke_m along it; strokes are the
+    shortest paths from corner to corner. It begins on the right as seen from outside. Raises SceneError as `through`,
+    for bad sizes, and if the surface ends within the width.
     """
     line = through(surface, waypoints)
     mesh = _mesh(surface)
@@ -210,10 +210,10 @@ def _check(surface: Surface) -> None:
 
 
 def _nearest(surface: Surface, point: Float, name: str) -> tuple[int, Float]:
-    """Face and foot of a point on the surface."""
+    """Return the face and the point of the surface nearest to a point."""
     from trimesh.triangles import closest_point
 
-    # In millimetres: trimesh's tolerance is absolute, and in metres takes points inside small triangles for edge points
+    # In millimetres, because in metres the absolute tolerance of trimesh is too large for small triangles
     corners, points = 1e3 * surface.vertices[surface.faces], np.tile(1e3 * point, (len(surface.faces), 1))
     feet = 1e-3 * closest_point(corners, points)
     distance = np.linalg.norm(feet - point, axis=1)
@@ -229,7 +229,7 @@ def _nearest(surface: Surface, point: Float, name: str) -> tuple[int, Float]:
 def _mesh(surface: Surface) -> _Mesh:
     faces = surface.faces
     owner = np.tile(np.arange(len(faces)), 3)
-    # The edge from corner i to i + 1 lies opposite corner i + 2
+    # The edge from corner i to i + 1 is opposite corner i + 2
     opposite = np.repeat([2, 0, 1], len(faces))
     _, which, count = numbered_edges(faces)
     order = np.argsort(which, kind="stable")
@@ -241,12 +241,12 @@ def _mesh(surface: Surface) -> _Mesh:
 
 
 def _cross(a: Float, b: Float) -> Float:
-    # numpy's own takes ten times as long for one pair
+    # numpy.cross takes ten times as long for one pair
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
-    """Walk straight along each leg [m], shape (n, 2), of a plane that is transported in parallel."""
+    """Walk straight along each leg [m], shape (n, 2), in a parallel-transported plane."""
     face, position, x = start.face, start.position, start.x
     faces: list[int] = []
     points = [position]
@@ -277,7 +277,7 @@ def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
                 )
             edge = mesh.corners[face][corner - 1] - mesh.corners[face][corner - 2]
             edge = edge / math.sqrt(edge @ edge)
-            # With the triangles laid flat, a tangent keeps its components along the edge and across it
+            # With both triangles in one plane, a tangent keeps its components along the edge and across it
             across, other = _cross(normal, edge), _cross(mesh.normals[beyond], edge)
             x = (x @ edge) * edge + (x @ across) * other
             x /= math.sqrt(x @ x)
@@ -289,9 +289,9 @@ def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
 def _exit(mesh: _Mesh, face: int, position: Float, ahead: Float, entered: int) -> tuple[int, float]:
     """Return the corner opposite the edge through which a ray leaves a triangle, and the distance to that edge [m].
 
-    A ray along an edge could cross it again and again: it does not leave where it entered, opposite `entered`. An edge
-    of the mesh counts as reached TOUCH_m before it, so that the result for a path that ends there does not depend on
-    rounding; a ray along the edge never reaches it.
+    The edge opposite `entered`, through which the ray entered, is excluded, so that a ray along an edge does not cross
+    it repeatedly. An edge of the mesh is reached TOUCH_m before it, so that the result for a path that ends there does
+    not depend on rounding; a ray along the edge does not reach it.
     """
     corners, normal = mesh.corners[face], mesh.normals[face]
     best, way = -1, math.inf
@@ -312,10 +312,10 @@ def _exit(mesh: _Mesh, face: int, position: Float, ahead: Float, entered: int) -
 
 
 def _closed_walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
-    """Return the walk along a closed path's legs that ends closest to its start.
+    """Return the walk along the legs of a closed path that ends closest to its start.
 
-    Each round rotates the path evenly by the last round's rotation of the frame, and shifts it evenly by the gap.
-    Vertices rotate a frame in jumps, so the gap may remain.
+    Each iteration distributes the rotation of the frame and the gap of the last iteration evenly along the path. A gap
+    may remain, because vertices rotate the frame in jumps.
     """
     lengths = np.linalg.norm(legs, axis=1)
     share = (np.cumsum(lengths) - 0.5 * lengths) / lengths.sum()
@@ -351,7 +351,7 @@ def _skin_path(surface: Surface, piece: Piece, closed: bool) -> SurfacePath:
     segments, places = piece
     points = np.array(places)
     faces = np.array([*segments, segments[-1]], dtype=np.int32)
-    # On slivers its default, which squares lengths, loses twice the digits: a weight was off by 5e-9 on a test's mesh
+    # The default method squares lengths and loses digits on slivers: an error of 5e-9 in a weight was observed
     weights = points_to_barycentric(surface.vertices[surface.faces[faces]], points, method="cross")
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return SurfacePath(faces, weights, np.concatenate([[0.0], np.cumsum(steps)]), closed)

@@ -13,18 +13,18 @@ from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.types import Float
 
 EDGE_S = 1e-9
-"""A jump less than this ahead counts as passed, so that t = k / rate lies in period k for any rounding."""
+"""A jump less than this ahead is treated as passed, so that t = k / rate is in period k with any rounding."""
 SAMPLES, A_CYCLE = 4096, 16
-"""Least number of samples of a waveform in `samples`, and for each period of a burst's sine."""
+"""Smallest number of samples of a waveform in `samples`, and of each period of the sine in a burst."""
 
 
 class Waveform(NamedTuple):
-    """A waveform: numbers, or columns of shape (n, 1) for n stimuli that differ only in them.
+    """A waveform: numbers, or columns of shape (n, 1) for n stimuli that differ only in numbers.
 
-    name: of key am_waveform; table: of a file
-    highest: its largest value; duty: share of the period that a rectangle is up or a Hann pulse lasts
+    name: value of key am_waveform; table: table from a file
+    highest: largest value; duty: share of the period in which a rectangle is high or a Hann pulse lasts
     burst_length_s, burst_period_s: of bursts; 1 otherwise
-    burst_phase: of a burst's sine at its beginning [rad]
+    burst_phase: phase of the sine at the beginning of a burst [rad]
     """
 
     name: str
@@ -38,7 +38,7 @@ class Waveform(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """A waveform over one period, or over a file's course.
+    """A waveform over one period, or over the course in a file.
 
     times: [s], shape (n,); values: shape (n,); weights: shares of the time, shape (n,)
     """
@@ -49,7 +49,7 @@ class Samples(NamedTuple):
 
 
 def waveform_of(config: StimulusConfig) -> Waveform:
-    """Return the waveform of a modulated stimulus's keys; one from a file needs a ResolvedStimulus."""
+    """Return the waveform of a modulated stimulus; a waveform from a file needs a ResolvedStimulus."""
     table = config.am_table if isinstance(config, ResolvedStimulus) else None
     frequency = config.am_frequency_Hz or 1.0
     length, period = config.am_burst_length_s or 1.0, config.am_burst_period_s or 1.0
@@ -67,7 +67,7 @@ def waveform_of(config: StimulusConfig) -> Waveform:
 
 
 def wave(form: Waveform, since: Float) -> Float:
-    """Return values at times since the sound began [s], shape (m,), or (n, m) for a waveform in columns."""
+    """Return values at times since the start of the sound [s], shape (m,), or (n, m) for a waveform in columns."""
     match form.name:
         case "sine":
             return np.asarray(np.sin(2 * math.pi * form.frequency_Hz * since))
@@ -91,14 +91,14 @@ def wave(form: Waveform, since: Float) -> Float:
 
 
 def period_s(config: StimulusConfig) -> float | None:
-    """Period of the modulation [s]; None without one, and for a file's course."""
+    """Return the period of the modulation [s]; None without modulation and for a course from a file."""
     if config.modulation == "none" or config.am_frequency_Hz is None:
         return None
     return config.am_burst_period_s if config.am_waveform == "burst" else 1.0 / config.am_frequency_Hz
 
 
 def samples(form: Waveform) -> Samples:
-    """Return one period, or a file's course, in the middles of equal parts; the pause between bursts is one part."""
+    """Return one period, or a course, at the middles of equal parts; the pause between bursts is one part."""
     match form.name:
         case "rectangle":
             period, duty = 1.0 / float(form.frequency_Hz), float(form.duty)
@@ -121,15 +121,15 @@ def samples(form: Waveform) -> Samples:
 
 @lru_cache(maxsize=256)
 def _highest_of_burst(cycles: float, phase: float) -> float:
-    """Largest value of sin(2 pi cycles x + phase) under a Hann window over x = 0..1."""
+    """Return the largest value of sin(2 pi cycles x + phase) under a Hann window over x = 0..1."""
 
     def negative(x: float | Float) -> float | Float:
         return -(0.5 - 0.5 * np.cos(2 * math.pi * x)) * np.sin(2 * math.pi * cycles * x + phase)
 
-    # The highest crest lies within a period of the window's middle
+    # The highest crest is within a period of the middle of the window
     near = 0.5 + np.linspace(-1.0, 1.0, 257) * min(1.0 / cycles, 0.5)
     best, width = float(near[np.argmin(negative(near))]), float(near[1] - near[0])
-    found = scipy.optimize.minimize_scalar(
+    minimum = scipy.optimize.minimize_scalar(
         negative, bounds=(best - width, best + width), method="bounded", options={"xatol": 1e-12}
     )
-    return float(-found.fun)
+    return float(-minimum.fun)

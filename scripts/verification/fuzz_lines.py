@@ -212,9 +212,9 @@ def sent(door: str, count: int, seed: int) -> tuple[Counter[tuple[str, str]], li
         taken = listener.taken
         sender.give("none", [_text(good(door, number + 9000 + n)).encode() for n in range(15)], number)
         if listener.taken == taken:
-            sender.faults.append(f"good lines of {door} were not taken: {listener.told[-3:]}")
+            sender.faults.append(f"good lines of {door} were not taken: {listener.reported[-3:]}")
     outcomes, faults = sender.outcomes, sender.faults
-    for text in listener.told:
+    for text in listener.reported:
         if not text.isprintable() or len(text) > 1000:
             faults.append(f"told: {text!r}")
     return outcomes, faults, sender.again

@@ -75,4 +75,4 @@ def test_only_the_newest_is_kept_and_bad_lines_are_counted():
         assert came is not None and came.number == 2 and came.focus.place[2] == 0.2
         assert before <= came.time_s <= time.monotonic()
         assert listener.next(came.number, 0.0) is None
-    assert listener.report() == "2 foci received, 1 lines skipped (1 garbled)" and "what?" in listener.told[0]
+    assert listener.report() == "2 foci received, 1 lines skipped (1 garbled)" and "what?" in listener.reported[0]

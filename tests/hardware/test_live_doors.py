@@ -136,7 +136,7 @@ def test_no_line_makes_the_listener_deaf(name, by):
         assert listener.wait(1, 5.0)
         out.close()
     assert sum(listener.bad.values()) == 1 and set(listener.bad) <= {"garbled", "numbers", "keys"}
-    assert all(text.isprintable() for text in listener.told)
+    assert all(text.isprintable() for text in listener.reported)
 
 
 @pytest.mark.parametrize("door", DOORS)

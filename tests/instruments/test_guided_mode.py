@@ -113,7 +113,7 @@ def test_waves_from_elsewhere_and_a_source_elsewhere_are_noticed():
     assert "is more than noise" in fitted(told, read).reason
     told, read, _ = scan(250.0, 0.006)
     off = guided_mode_fit(read, told, [0.008, 0.0], NEAR_M, sights=np.tile([1.0, 0.0, 1.0], (len(told), 1)))
-    assert "the fitted source lies 4 mm or more from the given source" in off.reason
+    assert "the fitted source is 4 mm or more from source_m" in off.reason
 
 
 def test_a_lines_amplitude_is_that_of_the_last_whole_periods():

@@ -52,7 +52,7 @@ def test_distances_to_a_mesh():
 
 
 def test_a_place_off_the_skin_is_named():
-    with pytest.raises(MeasurementError, match=r"point 1 at \(0, 0, 0.2\) m lies 0.0922 m from the skin"):
+    with pytest.raises(MeasurementError, match=r"point 1 at \(0, 0, 0.2\) m is 0.0922 m from the skin"):
         of_skin(skin(), [[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]])
     with pytest.raises(MeasurementError, match="holds 2 times"):
         of_skin(skin(2))

@@ -67,7 +67,7 @@ def test_bad_samples_are_counted_told_and_skipped(stream):
     assert dict(listener.bad) == {"garbled": 1, "numbers": 1, "lost": 1, "late": 1, "convention": 1, "joints": 1}
     np.testing.assert_allclose(listener.stream().times_s, stream.times_s[[0, 1, 6]])
     assert listener.report().startswith("3 samples taken, 6 skipped (1 convention, 1 garbled,")
-    assert any("26" in text and "1 joints" in text for text in listener.told)
+    assert any("26" in text and "1 joints" in text for text in listener.reported)
 
 
 def test_a_live_hand_is_where_the_recording_puts_it(stream, median):

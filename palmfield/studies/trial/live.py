@@ -155,7 +155,7 @@ def play_live(
         fitted = 1e3 * np.array(follower.fit_s)
         notes = [
             f"tracker: {listener.report()}",
-            *(f"tracker: {text}" for text in listener.told),
+            *(f"tracker: {text}" for text in listener.reported),
             f"tracker: fitting the hand to a sample took {np.median(fitted):.1f} ms (maximum {fitted.max():.1f})",
         ]
         if silenced:
