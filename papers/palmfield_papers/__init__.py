@@ -1,1 +1,1 @@
-"""What four papers claim, computed again and held against tolerances that were fixed beforehand (docs/gallery)."""
+"""Compute the claims of four papers, and compare them within tolerances fixed beforehand (docs/gallery)."""

@@ -1,4 +1,4 @@
-"""What a paper's own module gives to the gallery: an answer for each number, under given readings and controls."""
+"""Types for the modules of papers: an answer for each number, under readings and controls."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 
 @dataclass(frozen=True)
 class Setting:
-    """Under what a number is computed. Hashable, so that what several numbers share can be kept by it.
+    """Conditions under which a number is computed. Hashable, so that results that numbers share can be cached.
 
     readings: pairs of axis and value, of all axes on which the number depends ([reading_axes] of tolerances.toml)
-    control: name of a negative control, which changes one thing on purpose; empty for none
-    quick: coarser, for an answer in minutes; device: Warp's name of where kernels run
+    control: name of a negative control, which changes one thing deliberately; empty for none
+    quick: coarser, for an answer in minutes; device: Warp device of kernels
     """
 
     readings: tuple[tuple[str, str], ...] = ()
@@ -22,21 +22,21 @@ class Setting:
     device: str = "cpu"
 
     def reading(self, axis: str) -> str:
-        """The value of an axis. Raises KeyError where the number doesn't depend on it."""
+        """Return the value of an axis. Raises KeyError if the number does not depend on it."""
         return dict(self.readings)[axis]
 
 
 @dataclass(frozen=True)
 class Answer:
-    """One number as computed, in the unit of its entry.
+    """One computed number, in the unit of its entry.
 
-    value: the number, or what is compared; None where there is none, which `note` explains
+    value: the number to compare; None if there is none, with the reason in `note`
     error: numerical error of the value in its unit, from a finer run or an exact solution; 0 for closed forms
-    band: least and largest value as far as p0 and material are known, None where neither enters
-    margin: of an inequality, how far inside (positive) or outside (negative) of what it asks; None for numbers
-    shown: other numbers that are printed beside it and not counted, by what they are
-    other_estimate: the same quantity by another estimator, as good a reading of the paper's words; None for none
-    against: what the paper prints under this reading, where it prints two numbers for one thing; else the entry's value
+    band: least and largest value within the ranges of p0 and material, None if it depends on neither
+    margin: of an inequality, distance from its limit, positive if it holds; None for numbers
+    shown: other numbers by description, which are printed but not counted
+    other_estimate: the same quantity by another estimator that the text of the paper equally allows; None for none
+    against: value of the paper under this reading if it prints two values; else that of the entry
     """
 
     value: float | None
@@ -61,7 +61,7 @@ Compute = Callable[[Setting], Answer]
 
 @dataclass(frozen=True)
 class Cause:
-    """A possible reason for a claim that disagrees, tested by changing it: what is changed, and the answer then."""
+    """A possible reason for a disagreement: description of a change, and the answer with it."""
 
     what: str
     compute: Compute
@@ -69,7 +69,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of a paper, drawn again from our data. name: of its file, without suffix; draw: called with the base."""
+    """A figure of a paper from our data. name: of its file, without suffix; draw: called with the base readings."""
 
     name: str
     caption: str
@@ -78,15 +78,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class Paper:
-    """All that one paper has in the gallery.
+    """Contents of the gallery for one paper.
 
     name: as on the command line; paper: as in the entries of tolerances.toml; about: two or three sentences
     answers: by id of the entry; causes: of claims that disagree, by id
-    later: of claims that agree and that no listed control turns, by id: what the entry says it could fail by, done on
-        purpose. They were written when answers were known, and stand apart from the controls
-    found_later: readings that were found by looking at answers, by id of the claims that they bear on; no verdict
-        counts them
-    notes: Markdown that stands below the tables (hypotheses, chains, what was printed and what is right)
+    later: of claims that agree and that no listed control turns, by id: the failure that the entry names, tested
+        deliberately. These were written when answers were known, and are separate from the controls
+    found_later: readings that were found from the answers, by id of the claims that they concern; verdicts ignore them
+    notes: Markdown below the tables (hypotheses, chains, printed and corrected values)
     """
 
     name: str

@@ -1,5 +1,4 @@
-"""`palmfield papers`: its options and what it does with them. What computes is loaded when it runs, so that --help is
-quick."""
+"""`palmfield papers`: its options. Modules that compute are imported inside functions, so that --help is quick."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +27,7 @@ def papers(
 ) -> None:
     """Reproduce four papers, and print each number next to the published one, with tolerances fixed beforehand.
 
-    Writes a page, figures and rows.json for each paper, and index.html over all. Exit code 4 where a number failed.
+    Writes a page, figures and rows.json for each paper, and an index.html. The exit code is 4 if a number failed.
 
     Example: palmfield papers chilles2019 --quick
     """
@@ -40,7 +39,7 @@ def papers(
 
 
 def _papers(names: Sequence[str], *, quick: bool, out: Path, device: str, jobs: int, quiet: bool, as_json: bool) -> int:
-    """Compute, print a line for each paper, and return the exit code: 4 where a row failed."""
+    """Compute, print a line for each paper, and return the exit code: 4 if a row failed."""
     from palmfield.cli.as_json import print_json
     from palmfield_papers.registry import NAMES
     from palmfield_papers.run import INDEX, papers
@@ -58,9 +57,9 @@ def _papers(names: Sequence[str], *, quick: bool, out: Path, device: str, jobs: 
 
 
 def _numbers(ids: Sequence[str], *, quick: bool, device: str, as_json: bool) -> int:
-    """Compute some numbers alone, print each under its readings and controls, and return the exit code as above."""
+    """Compute single numbers, print each under its readings and controls, and return the exit code as in `_papers`."""
     from palmfield.cli.as_json import print_json
-    from palmfield_papers.page import told
+    from palmfield_papers.page import row_text
     from palmfield_papers.run import numbers
 
     found = numbers(ids, quick=quick, device=device)
@@ -68,5 +67,5 @@ def _numbers(ids: Sequence[str], *, quick: bool, device: str, as_json: bool) -> 
         print_json({one.entry.id: one.as_dict() for one in found})
     else:
         for one in found:
-            print(told(one))
+            print(row_text(one))
     return 4 if any(tried.failed for one in found for tried in one.tried) else 0

@@ -1,4 +1,4 @@
-"""What the rows of a paper come to: counts of verdicts, and whether each control was noticed."""
+"""Count the verdicts of a paper, and find which controls were noticed."""
 
 import math
 from collections import Counter
@@ -10,12 +10,12 @@ from palmfield_papers.rows import Row
 from palmfield_papers.verdicts import VERDICTS, sure, verdict
 
 SHARE = 3
-"""One in so many of the claims that a control lists beforehand must turn."""
+"""One in this number of the claims that a control lists beforehand must change."""
 
 
 WEIGHTLESS = {
     "C14c": "a factor of 2, which the order of a filter that the paper does not name takes up alone",
-    "C19f": "a high-pass that leaves next to nothing of a held focus; without it the ratio is 0.45",
+    "C19f": "a high-pass that leaves next to nothing of a comparisons focus; without it the ratio is 0.45",
     "C21a": "the focus runs on the circle where the largest motion is looked for",
     "C21b": "the motion far from the focus, against half of that under it",
     "C21c": "the motion far from the circle, against that under the focus",
@@ -30,13 +30,13 @@ WEIGHTLESS = {
     "H17a": "delays rounded to 1/50 of a period move a focus by far less than 1 mm",
     "H22a": "34 dB lie between both sides",
 }
-"""Agreements that no answer of a run could have turned, and why. Found after the first runs, by what each number
-follows from: verdicts stay as they are, and these are counted separately."""
+"""Agreements that no answer of a run could have changed, with the reason. They were found after the first runs, from
+the derivation of each number; verdicts are unchanged, and these are counted separately."""
 
 
 @dataclass(frozen=True)
 class Noticed:
-    """A control: ids of listed claims that it turned, that it did not, and that gave no answer; wanted: at least."""
+    """A control: ids of listed claims that it changed, did not change, and without an answer; wanted: least changes."""
 
     control: Control
     turned: tuple[str, ...]
@@ -50,18 +50,18 @@ class Noticed:
 
 
 def counts(rows: Sequence[Row]) -> dict[str, int]:
-    """How many claims have which verdict."""
+    """Return the number of claims for each verdict."""
     found = Counter(row.verdict for row in rows if row.verdict is not None)
     return {name: found[name] for name in VERDICTS}
 
 
 def weightless(rows: Sequence[Row]) -> list[str]:
-    """Claims that agree and that nothing could have turned."""
+    """Return claims that agree and that nothing could have changed."""
     return [row.entry.id for row in rows if row.verdict == "agrees" and row.entry.id in WEIGHTLESS]
 
 
 def noticed(controls: Sequence[Control], rows: Sequence[Row]) -> list[Noticed]:
-    """Each control that lists a claim of these rows."""
+    """Return the controls that list a claim of these rows."""
     by_id = {row.entry.id: row for row in rows}
     out = []
     for control in controls:
@@ -82,27 +82,27 @@ def noticed(controls: Sequence[Control], rows: Sequence[Row]) -> list[Noticed]:
 
 
 def unsure(rows: Sequence[Row]) -> list[str]:
-    """Claims that would have another verdict if one of their answers were off by its numerical error."""
+    """Return claims whose verdict would change if an answer changed by its numerical error."""
     return [row.entry.id for row in rows if row.entry.counts and any(_hangs_on(row, n) for n in range(len(row.tried)))]
 
 
 def _hangs_on(row: Row, number: int) -> bool:
     one = row.tried[number]
-    if one.answer is None or one.held is None or sure(row.entry, one.answer):
+    if one.answer is None or one.comparison is None or sure(row.entry, one.answer):
         return False
-    held = [other.held for other in row.tried]
-    held[number] = replace(one.held, within=not one.held.within)
-    return verdict(row.entry, held) != row.verdict
+    comparisons = [other.comparison for other in row.tried]
+    comparisons[number] = replace(one.comparison, within=not one.comparison.within)
+    return verdict(row.entry, comparisons) != row.verdict
 
 
 def turned_later(rows: Sequence[Row]) -> list[str]:
-    """Of the claims of `untested`, those that a change turns which was written when answers were known."""
+    """Return claims of `untested` that change in a test written when answers were known."""
     by_id = {row.entry.id: row for row in rows}
     return [name for name in untested(rows) if any(by_id[name].differs(one) for _, one in by_id[name].later)]
 
 
 def untested(rows: Sequence[Row]) -> list[str]:
-    """Claims that agree and that no control turns."""
+    """Return claims that agree and that no control changes."""
     return [
         row.entry.id for row in rows if row.verdict == "agrees" and not any(row.turned(name) for name in row.controls)
     ]

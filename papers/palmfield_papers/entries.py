@@ -1,4 +1,4 @@
-"""The numbers of the papers, and how each is held: tolerances.toml as objects."""
+"""Read the numbers of the papers and their tolerances from tolerances.toml."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ KINDS = ("INPUT", "CLAIM", "ERRATUM", "CALC")
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How near an answer must come. kind: "none", "relative", "factor", "absolute_degrees", "dB" or "inequality"."""
+    """How close an answer must be. kind: "none", "relative", "factor", "absolute_degrees", "dB" or "inequality"."""
 
     rule: str
     kind: str
@@ -24,8 +24,8 @@ class Tolerance:
 class Entry:
     """One number of one row of a paper.
 
-    value: as printed, a number, a range, or words; corrected: beside it where the paper contradicts itself
-    condition: what an inequality asks; readings: names of axes; sensitive_to: names of controls
+    value: as printed, a number, a range, or words; corrected: corrected value if the paper contradicts itself
+    condition: condition of an inequality; readings: names of axes; sensitive_to: names of controls
     """
 
     id: str
@@ -49,13 +49,13 @@ class Entry:
 
     @property
     def counts(self) -> bool:
-        """Whether its verdict is one of agrees, disagrees and depends."""
+        """Return whether its verdict is one of agrees, disagrees and depends."""
         return self.kind == "CLAIM" and self.testable
 
 
 @dataclass(frozen=True)
 class Control:
-    """A change made on purpose, the configurations that it acts on, and the claims that should notice."""
+    """A deliberate change, the configurations that it affects, and the claims that should change."""
 
     name: str
     changes: str
@@ -76,15 +76,15 @@ class Book:
     changes: tuple[Mapping[str, Any], ...]
 
     def of_paper(self, paper: str) -> tuple[Entry, ...]:
-        """The entries of one paper, in the file's order."""
+        """Return the entries of one paper, in the order of the file."""
         return tuple(entry for entry in self.entries if entry.paper == paper)
 
     def base(self, entry: Entry) -> tuple[tuple[str, str], ...]:
-        """The base value of each axis that the entry names."""
+        """Return the base value of each axis of an entry."""
         return tuple((axis, self.axes[axis][0]) for axis in entry.readings)
 
     def varied(self, entry: Entry) -> list[tuple[tuple[str, str], ...]]:
-        """The base, then each axis changed by itself to each of its other values."""
+        """Return the base, then each axis changed separately to each of its other values."""
         base = self.base(entry)
         others = [
             tuple((name, value if name == axis else old) for name, old in base)
@@ -105,7 +105,7 @@ def _entry(table: dict[str, Any]) -> Entry:
 
 
 def read_book(path: Path) -> Book:
-    """The entries, readings and controls of a file of tolerances."""
+    """Read the entries, readings and controls of a file of tolerances."""
     table = read_toml(path)
     return Book(
         entries=tuple(_entry(entry) for entry in table["entry"]),
@@ -123,5 +123,5 @@ def read_book(path: Path) -> Book:
 
 @cache
 def book() -> Book:
-    """The file of the gallery, docs/gallery/tolerances.toml."""
+    """Read the file of the gallery, docs/gallery/tolerances.toml."""
     return read_book(Path(__file__).with_name("tolerances.toml"))

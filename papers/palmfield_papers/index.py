@@ -1,4 +1,4 @@
-"""One page over all papers, and Markdown as HTML."""
+"""Write one page for all papers, and convert Markdown to HTML."""
 
 import html
 import json
@@ -17,7 +17,7 @@ img{max-width:100%}code{background:#f3f3f3;padding:0 .2rem}"""
 
 
 def index(out: Path) -> str:
-    """Markdown: a line for each paper whose rows.json lies in a folder of `out`, with its counts."""
+    """Return Markdown with a line for each paper that has rows.json in a folder of `out`, with its counts."""
     lines = []
     for name in NAMES:
         path = out / name / "rows.json"
@@ -48,7 +48,7 @@ def index(out: Path) -> str:
 
 
 def as_html(title: str, markdown: str, *, home: bool) -> str:
-    """A whole page that needs nothing else. home: with a way back to the index one folder up"""
+    """Return a self-contained page. home: whether to link to the index one folder up"""
     body = MarkdownIt("commonmark").enable("table").render(markdown)
     back = '<p><a href="../index.html">All papers</a></p>' if home else ""
     return (

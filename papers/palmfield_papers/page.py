@@ -1,4 +1,4 @@
-"""A paper's page in Markdown: its claims, what they hang on, the controls, and all other numbers."""
+"""Write the page of a paper in Markdown: claims, what they depend on, controls, and all other numbers."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ from palmfield_papers.entries import Book, Entry
 from palmfield_papers.rows import Row, Tried
 
 NONE = "-"
-"""In a table, where there is no number."""
+"""Text of an empty cell in a table."""
 RULES = {
     "relative": "{:.0%} of it",
     "factor": "a factor of {:g}",
@@ -19,7 +19,7 @@ RULES = {
 
 
 def number(value: object) -> str:
-    """Three digits, a range, words, or a dash."""
+    """Return a value with three digits, a range, words, or a dash."""
     if value is None:
         return NONE
     if isinstance(value, list | tuple):
@@ -50,22 +50,22 @@ def _tolerance(entry: Entry) -> str:
 
 
 def _ours(one: Tried | None) -> list[str]:
-    """Ours, its numerical error and its band."""
+    """Return our value, its numerical error and its band."""
     if one is None or one.answer is None:
         return [NONE, NONE, NONE]
     return [number(one.answer.value), number(one.answer.error), number(one.answer.band)]
 
 
 def _within(one: Tried) -> str:
-    if one.held is None:
+    if one.comparison is None:
         return NONE
-    return "yes" if one.held.within else "no"
+    return "yes" if one.comparison.within else "no"
 
 
 def _distance(one: Tried | None) -> str:
-    if one is None or one.held is None:
+    if one is None or one.comparison is None:
         return NONE
-    return f"{one.held.distance:+.2g}"
+    return f"{one.comparison.distance:+.2g}"
 
 
 def _note(one: Tried | None) -> str:
@@ -77,12 +77,12 @@ def _note(one: Tried | None) -> str:
 
 
 def _share(row: Row) -> str:
-    said = [one.held.within for one in row.tried if one.held is not None]
+    said = [one.comparison.within for one in row.tried if one.comparison is not None]
     return f"{sum(said)} of {len(said)}" if said else NONE
 
 
 def _by_itself(row: Row, one: Tried) -> str:
-    """The axis in which a reading differs from the base, and its value."""
+    """Return the axis in which a reading differs from the base, and its value."""
     base = row.tried[0].readings
     changed = [f"{axis}: {value}" for axis, value in one.readings.items() if value != base[axis]]
     return _cell(", ".join(changed) or "base (" + "; ".join(base.values()) + ")") if base else "base"
@@ -138,10 +138,10 @@ def _controls(book: Book, rows: Sequence[Row]) -> list[str]:
     out: list[str] = []
     for one in noticed(book.controls, rows):
         name = one.control.name
-        told = "works" if one.works else "**failed: the claims that it lists are weak evidence**"
+        result = "works" if one.works else "**failed: the claims that it lists are weak evidence**"
         out += [
             f"**{name}**: {_cell(one.control.changes)} Turned {len(one.turned)} of {len(one.control.sensitive)} listed "
-            f"claims, {one.wanted} wanted: {told}.",
+            f"claims, {one.wanted} wanted: {result}.",
             "",
         ]
         out += _table(
@@ -215,8 +215,8 @@ def _shown(rows: Sequence[Row]) -> list[str]:
     return _table(("id", "what", "ours", "unit of the entry"), lines)
 
 
-def told(row: Row) -> str:
-    """A row as text for a terminal: the number, and ours under each reading, control and cause."""
+def row_text(row: Row) -> str:
+    """Return a row as text for a terminal: the number, and our value under each reading, control and cause."""
     lines = [f"{row.entry.id} {row.entry.quantity}: {_printed(row.entry)}; {row.verdict or row.entry.kind}"]
     tried = [(_by_itself(row, one), one) for one in row.tried]
     tried += [(f"control {name}", one) for name, one in row.controls.items()]
@@ -231,7 +231,7 @@ def told(row: Row) -> str:
 def page(
     paper: Paper, book: Book, rows: Sequence[Row], pictures: Sequence[tuple[Path, str]], notes: str, made: str
 ) -> str:
-    """The page. pictures: file beside the page and caption; notes: Markdown; made: how and when, one sentence."""
+    """Return the page. pictures: file next to the page, and caption; notes: Markdown; made: how and when, in words"""
     kinds = {kind: [row for row in rows if row.entry.kind == kind] for kind in ("CLAIM", "ERRATUM", "CALC", "INPUT")}
     claims = kinds["CLAIM"]
     came = counts(rows)
@@ -239,7 +239,7 @@ def page(
     loose, late, near = untested(rows), turned_later(rows), unsure(rows)
     empty = weightless(rows)
     carrying = f"{agreeing - len(empty)} of {agreeing} agreements carry weight. " if agreeing else ""
-    told = ", ".join(f"{count} {name}" for name, count in came.items() if count)
+    verdicts = ", ".join(f"{count} {name}" for name, count in came.items() if count)
     hanging = [row.entry.id for row in claims if row.verdict == "depends"]
     changes = [change for change in book.changes if change["id"] in {row.entry.id for row in rows}]
     out = [
@@ -247,7 +247,7 @@ def page(
         "How numbers are held, and what the words mean, is told in [the gallery's page](../README.md). *Distance* is "
         "from the limit of the tolerance, positive inside: of numbers in tolerances (1 where both are equal, 0 at the "
         "limit), of inequalities in the unit of what is compared.", "",
-        f"**{len(claims)} claims: {told}. {carrying.strip()}** "
+        f"**{len(claims)} claims: {verdicts}. {carrying.strip()}** "
         + (f"What depends on a reading: {', '.join(hanging)}. " if hanging else "")
         + (f"Of {agreeing} that agree no control turns {len(loose)}: {', '.join(loose)}. " if loose else "")
         + (f"Of these {len(late)} are turned by controls that were written later: {', '.join(late)}. " if late else "")

@@ -1,7 +1,7 @@
-"""Pistons as points all over their faces: Rayleigh's integral, which holds as near as the baffle.
+"""Represent pistons by points on their faces: Rayleigh's integral, which is valid up to the baffle.
 
 The field of arrays (`palmfield.acoustics.field`) uses the far field of a piston. Points on its face, each a point
-source in the same baffle, add up to the exact sound of a piston that moves as one. Its closed form on the axis is in
+source in the same baffle, add up to the exact sound of a rigid piston. Its closed form on the axis is in
 `palmfield_papers.piston_axis`.
 """
 
@@ -20,11 +20,11 @@ RINGS, SPOKES = 4, 12
 
 
 def as_faces(array: Array, drive: ArrayLike, *, rings: int = RINGS, spokes: int = SPOKES) -> tuple[Array, Complex]:
-    """An array of rings * spokes point sources for each piston, and their drive, shape (rings * spokes * n,).
+    """Return an array of rings * spokes point sources for each piston, and their drive, shape (rings * spokes * n,).
 
     drive: complex amplitudes of the pistons, shape (n,); rings: Gauss-Legendre in the square of the radius
-    The gain of the array goes into the drive. Raises SceneError for an array without pistons or with a directivity
-    table, PalmfieldError for a drive of another shape.
+    The gain of the array is included in the drive. Raises SceneError for an array without pistons or with a directivity
+    table, PalmfieldError for a drive of a wrong shape.
     """
     check.array(array)
     emitted = check.drive(drive, array)
@@ -40,7 +40,7 @@ def as_faces(array: Array, drive: ArrayLike, *, rings: int = RINGS, spokes: int 
     radii = array.piston_radius_m * np.sqrt(0.5 * (1.0 + nodes))
     angles = 2.0 * np.pi * np.arange(spokes) / spokes
     aside = np.cross(array.normals, [0.0, 0.0, 1.0])
-    # A piston that looks along z has no such direction
+    # For a piston along z this direction is undefined
     aside[np.linalg.norm(aside, axis=1) < 1e-9] = [1.0, 0.0, 0.0]
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)
     across = np.cross(array.normals, aside)

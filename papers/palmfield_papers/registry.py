@@ -11,12 +11,12 @@ TITLES = {
     "mizushima2024": "Mizushima 2024",
     "hasegawa2018": "Hasegawa 2018",
 }
-"""What the entries of tolerances.toml call each."""
+"""Names of the papers in the entries of tolerances.toml."""
 NAMES = tuple(TITLES)
 
 
 def paper(name: str) -> Paper:
-    """A paper's answers. Raises SceneError for an unknown name."""
+    """Return the answers of a paper. Raises SceneError for an unknown name."""
     if name not in NAMES:
         raise SceneError(f"paper '{name}'{did_you_mean(name, NAMES)} is unknown; allowed: {', '.join(NAMES)}, all")
     found: Paper = importlib.import_module(f"palmfield_papers.{name}").PAPER

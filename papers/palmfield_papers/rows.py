@@ -1,4 +1,4 @@
-"""Each number of a paper: answered under its readings, held against its tolerance, and under the controls."""
+"""Compute each number of a paper under its readings and controls, and compare it within its tolerance."""
 
 import logging
 import time
@@ -9,23 +9,23 @@ from typing import Any
 from palmfield.errors import PalmfieldError
 from palmfield_papers.answer import Answer, Compute, Paper, Setting
 from palmfield_papers.entries import Book, Control, Entry
-from palmfield_papers.verdicts import Held, Verdict, hangs_on_estimator, hold, verdict
+from palmfield_papers.verdicts import Comparison, Verdict, compared, hangs_on_estimator, verdict
 
 logger = logging.getLogger("palmfield.papers")
 
 
 @dataclass(frozen=True)
 class Tried:
-    """One answer of a row. readings: all axes and their values; failed: why there is no answer, in words"""
+    """One answer of a row. readings: all axes and their values; failed: reason if there is no answer"""
 
     readings: Mapping[str, str]
     answer: Answer | None
-    held: Held | None
+    comparison: Comparison | None
     failed: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        answer, held = self.answer, self.held
+        """Return the answer for JSON."""
+        answer, comparison = self.answer, self.comparison
         return {
             "readings": dict(self.readings),
             "ours": None if answer is None else answer.value,
@@ -36,18 +36,18 @@ class Tried:
             "other_estimate": None if answer is None else answer.other_estimate,
             "note": self.failed or ("" if answer is None else answer.note),
             "shown": {} if answer is None else dict(answer.shown),
-            "within": None if held is None else held.within,
-            "distance": None if held is None or held.distance == float("-inf") else held.distance,
+            "within": None if comparison is None else comparison.within,
+            "distance": None if comparison is None or comparison.distance == float("-inf") else comparison.distance,
             "failed": bool(self.failed),
         }
 
 
 @dataclass(frozen=True)
 class Row:
-    """One entry and all that was tried for it, the base readings first.
+    """One entry and all its answers, base readings first.
 
-    controls: by name, for claims alone; causes, later: what was changed, and what came then
-    found_later: readings that were found by looking at answers, which no verdict counts; seconds: of processor
+    controls: by name, only for claims; causes, later: changes and their answers
+    found_later: readings that were found from answers, which verdicts ignore; seconds: of processor time
     """
 
     entry: Entry
@@ -64,17 +64,17 @@ class Row:
         return self.tried[0] if self.tried else None
 
     def turned(self, control: str) -> bool | None:
-        """Whether the yes or no changes under a control; None where one of both has none."""
+        """Return whether the verdict changes under a control; None if one of the two is missing."""
         return self.differs(self.controls[control])
 
     def differs(self, other: Tried) -> bool | None:
-        """Whether the yes or no is another than under the base; None where one of both has none."""
-        if self.base is None or self.base.held is None or other.held is None:
+        """Return whether the verdict differs from that of the base; None if one of the two is missing."""
+        if self.base is None or self.base.comparison is None or other.comparison is None:
             return None
-        return self.base.held.within != other.held.within
+        return self.base.comparison.within != other.comparison.within
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the row for JSON."""
         entry = self.entry
         return {
             "id": entry.id,
@@ -102,25 +102,25 @@ def _tried(entry: Entry, compute: Compute, setting: Setting) -> Tried:
     readings = dict(setting.readings)
     try:
         answer = compute(setting)
-        return Tried(readings, answer, hold(entry, answer))
+        return Tried(readings, answer, compared(entry, answer))
     except PalmfieldError as error:
         return Tried(readings, None, None, str(error))
-    except Exception as error:  # one row that fails must not cost the page
+    except Exception as error:  # a failed row must not stop the page
         logger.exception("entry %s failed", entry.id)
         return Tried(readings, None, None, f"{type(error).__name__}: {error}")
 
 
 def _acts_on(control: Control, entry: Entry, said: Verdict | None, quick: bool) -> bool:
-    """Those that list the claim; in full runs those of its configuration too, if it agrees."""
+    """Return whether a control lists the claim or, in full runs, affects the configuration of a claim that agrees."""
     if control.name in entry.sensitive_to:
         return True
     return not quick and said == "agrees" and entry.configuration in control.configurations
 
 
 def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
-    """Answer an entry under its readings and, of claims that count, under the controls; test causes where it disagrees.
+    """Answer an entry under its readings and, for claims, under controls; test causes if it disagrees.
 
-    setting: quick and device are taken from it. INPUT, ERRATUM and CALC are answered under the base alone.
+    setting: gives quick and device. INPUT, ERRATUM and CALC are answered only under the base.
     """
     started = time.process_time()
     compute = paper.answers.get(entry.id)
@@ -133,7 +133,7 @@ def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
     tried = tuple(_tried(entry, compute, replace(setting, readings=one)) for one in readings)
     if entry.kind != "CLAIM":
         return Row(entry, tried, None, seconds=time.process_time() - started)
-    said, split = verdict(entry, [one.held for one in tried]), hangs_on_estimator(tried[0].answer)
+    said, split = verdict(entry, [one.comparison for one in tried]), hangs_on_estimator(tried[0].answer)
     base = replace(setting, readings=readings[0])
     controls = {
         control.name: _tried(entry, compute, replace(base, control=control.name))
@@ -156,6 +156,6 @@ def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
 
 
 def rows(paper: Paper, book: Book, setting: Setting) -> Iterator[Row]:
-    """The rows of a paper, one after the other in the order of the file."""
+    """Yield the rows of a paper in the order of the file."""
     for entry in book.of_paper(paper.paper):
         yield row(entry, paper, book, setting)

@@ -26,7 +26,7 @@ from palmfield_papers.index import as_html, index
 from palmfield_papers.page import page
 from palmfield_papers.registry import NAMES, TITLES, paper
 from palmfield_papers.rows import Row, row
-from palmfield_papers.side_by_side import Told, side_by_side
+from palmfield_papers.side_by_side import Report, side_by_side
 
 logger = logging.getLogger("palmfield.papers")
 FORMAT = 1
@@ -35,7 +35,7 @@ ROWS, PAGE, INDEX = "rows.json", "README.md", "index.html"
 
 @dataclass(frozen=True)
 class Done:
-    """What a paper came to. verdicts: counts; failed: ids of rows that raised; folder: of its files"""
+    """Result of a paper. verdicts: counts; failed: ids of rows with errors; folder: of its files"""
 
     name: str
     verdicts: dict[str, int]
@@ -45,9 +45,9 @@ class Done:
     interrupted: bool
 
     def __str__(self) -> str:
-        told = ", ".join(f"{count} {name}" for name, count in self.verdicts.items() if count) or "no claims"
+        counts_ = ", ".join(f"{count} {name}" for name, count in self.verdicts.items() if count) or "no claims"
         failed = f"; failed: {', '.join(self.failed)}" if self.failed else ""
-        return f"{self.name}: {told} in {self.seconds:.0f} s of processor{failed}; {self.folder / PAGE}"
+        return f"{self.name}: {counts_} in {self.seconds:.0f} s of processor{failed}; {self.folder / PAGE}"
 
 
 def papers(
@@ -59,24 +59,24 @@ def papers(
     jobs: int = 1,
     progress: bool = False,
 ) -> list[Done]:
-    """Compute what papers claim, and write out/NAME/{README.md, rows.json, *.png} and out/index.html.
+    """Compute the claims of papers, and write out/NAME/{README.md, rows.json, *.png} and out/index.html.
 
-    names: of the papers; quick: coarser, in minutes; device: where kernels run that can run on a GPU
-    jobs: papers that are computed side by side, each in a process of its own
-    rows.json is written after each row, so that what is done stays readable whatever happens. A row that fails says so
-    on the page, and the next one follows. Ctrl-C writes the pages of what is done, and raises KeyboardInterrupt then.
-    Raises SceneError for an unknown paper, device or less than one job, OutputError where files can't be written.
+    names: of the papers; quick: coarser, in minutes; device: of kernels that can run on a GPU
+    jobs: number of papers computed in parallel, each in a separate process
+    rows.json is written after each row, so that completed rows remain readable. A failed row is reported
+    on the page, and the next one follows. Ctrl-C writes the pages of completed rows, then raises KeyboardInterrupt.
+    Raises SceneError for an unknown paper, device or number of jobs, OutputError if files cannot be written.
     """
     if jobs < 1:
         raise SceneError(f"jobs is {jobs}; give 1 or more")
     chosen = [paper(name) for name in names]
     sizes = {name: len(book().of_paper(one.paper)) for name, one in zip(names, chosen, strict=True)}
     setting = Setting(quick=quick, device=_device(device))
-    with _bar(progress, sizes) as told:
+    with _bar(progress, sizes) as report:
         if min(jobs, len(names)) > 1:
-            done = side_by_side(partial(_paper, setting=setting, out=Path(out)), names, jobs, told)
+            done = side_by_side(partial(_paper, setting=setting, out=Path(out)), names, jobs, report)
         else:
-            done = _in_turn(names, setting, Path(out), told)
+            done = _in_turn(names, setting, Path(out), report)
     _write_text(Path(out) / INDEX, as_html("Four papers, computed again", index(Path(out)), home=False))
     if len(done) < len(names) or any(one.interrupted for one in done):
         raise KeyboardInterrupt
@@ -87,19 +87,19 @@ def _device(name: str) -> str:
     return resolve("cuda:0" if name == "cuda" else name)
 
 
-def _in_turn(names: Sequence[str], setting: Setting, out: Path, told: Told) -> list[Done]:
+def _in_turn(names: Sequence[str], setting: Setting, out: Path, report: Report) -> list[Done]:
     done = []
     for name in names:
-        done.append(_paper(name, told, setting=setting, out=out))
+        done.append(_paper(name, report, setting=setting, out=out))
         if done[-1].interrupted:
             break
     return done
 
 
 def numbers(ids: Sequence[str], *, quick: bool = False, device: str = "cpu") -> list[Row]:
-    """Some numbers alone, by the ids of their entries; nothing is written. Raises SceneError for an unknown id."""
-    held = book()
-    entries = {entry.id: entry for entry in held.entries}
+    """Return single numbers by the ids of their entries; no files are written. Raises SceneError for an unknown id."""
+    book_ = book()
+    entries = {entry.id: entry for entry in book_.entries}
     for name in ids:
         if name not in entries:
             near = did_you_mean(name, entries)
@@ -107,11 +107,11 @@ def numbers(ids: Sequence[str], *, quick: bool = False, device: str = "cpu") -> 
     by_title = {title: name for name, title in TITLES.items()}
     chosen = [(entries[name], paper(by_title[entries[name].paper])) for name in ids]
     setting = Setting(quick=quick, device=_device(device))
-    return [row(entry, one, held, setting) for entry, one in chosen]
+    return [row(entry, one, book_, setting) for entry, one in chosen]
 
 
-def _paper(name: str, told: Told, *, setting: Setting, out: Path) -> Done:
-    one, held = paper(name), book()
+def _paper(name: str, report: Report, *, setting: Setting, out: Path) -> Done:
+    one, book_ = paper(name), book()
     folder = out / one.name
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -123,24 +123,24 @@ def _paper(name: str, told: Told, *, setting: Setting, out: Path) -> Done:
     head = _head(one, setting)
     started = time.process_time()
     try:
-        for entry in held.of_paper(one.paper):
-            told(name, entry.id)
-            found.append(row(entry, one, held, setting))
-            told(name, "")
-            _write_rows(folder / ROWS, head, held, found)
+        for entry in book_.of_paper(one.paper):
+            report(name, entry.id)
+            found.append(row(entry, one, book_, setting))
+            report(name, "")
+            _write_rows(folder / ROWS, head, book_, found)
         pictures += _pictures(one, setting, folder)
         notes = _notes(one, setting)
     except KeyboardInterrupt:
         interrupted = True
     seconds = time.process_time() - started
-    _write_rows(folder / ROWS, head | {"seconds": round(seconds, 1)}, held, found)
+    _write_rows(folder / ROWS, head | {"seconds": round(seconds, 1)}, book_, found)
     command = f"palmfield papers {one.name}{' --quick' if setting.quick else ''}"
     cut = " It was cut off: rows or figures are missing." if interrupted else ""
     made = (
         f"Written by `{command}` at commit {head['commit']}, in {seconds:.0f} s of processor ({head['processor']}, "
         f"kernels on {setting.device}).{cut}"
     )
-    text = page(one, held, found, pictures, notes, made)
+    text = page(one, book_, found, pictures, notes, made)
     _write_text(folder / PAGE, text)
     _write_text(folder / INDEX, as_html(one.title, text, home=True))
     failed = tuple(row.entry.id for row in found if any(tried.failed for tried in row.tried))
@@ -148,7 +148,7 @@ def _paper(name: str, told: Told, *, setting: Setting, out: Path) -> Done:
 
 
 def _notes(one: Paper, setting: Setting) -> str:
-    """The notes; what went wrong, where writing them fails."""
+    """Return the notes, or the error if writing them fails."""
     if one.notes is None:
         return ""
     try:
@@ -171,8 +171,8 @@ def _head(one: Paper, setting: Setting) -> dict[str, Any]:
     }
 
 
-def _write_rows(path: Path, head: dict[str, Any], held: Book, found: Sequence[Row]) -> None:
-    told = {
+def _write_rows(path: Path, head: dict[str, Any], book_: Book, found: Sequence[Row]) -> None:
+    counts_ = {
         "counts": counts(found),
         "untested": untested(found),
         "weightless": weightless(found),
@@ -181,10 +181,10 @@ def _write_rows(path: Path, head: dict[str, Any], held: Book, found: Sequence[Ro
         "controls": [
             {"name": one.control.name, "turned": one.turned, "kept": one.kept, "silent": one.silent,
              "wanted": one.wanted, "works": one.works}
-            for one in noticed(held.controls, found)
+            for one in noticed(book_.controls, found)
         ],
     }  # fmt: skip
-    text = json.dumps(head | told | {"rows": [one.as_dict() for one in found]}, indent=1, allow_nan=False)
+    text = json.dumps(head | counts_ | {"rows": [one.as_dict() for one in found]}, indent=1, allow_nan=False)
     _write_text(path, text + "\n")
 
 
@@ -202,7 +202,7 @@ def _pictures(one: Paper, setting: Setting, folder: Path) -> Iterator[tuple[Path
 
 
 def _drawn(picture: Picture, setting: Setting) -> Figure | None:
-    """The figure; None, with an error in the log, where drawing fails: a picture must not cost the page either."""
+    """Return the figure; None, with an error in the log, if drawing fails, which must not stop the page."""
     try:
         with style():
             return picture.draw(setting)
@@ -212,16 +212,16 @@ def _drawn(picture: Picture, setting: Setting) -> Figure | None:
 
 
 @contextmanager
-def _bar(show: bool, sizes: Mapping[str, int]) -> Iterator[Told]:
-    """A bar for each paper. sizes: how many entries each has"""
+def _bar(show: bool, sizes: Mapping[str, int]) -> Iterator[Report]:
+    """Show a bar for each paper. sizes: number of entries by paper"""
     with bars(show) as bar:
         tasks = {name: bar.add_task(name, total=size, start=False) for name, size in sizes.items()}
 
-        def told(name: str, entry: str) -> None:
+        def report(name: str, entry: str) -> None:
             if entry:
                 bar.start_task(tasks[name])
                 bar.update(tasks[name], description=f"{name} {entry}")
             else:
                 bar.advance(tasks[name])
 
-        yield told
+        yield report

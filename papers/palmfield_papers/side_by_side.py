@@ -1,4 +1,4 @@
-"""Papers side by side, each in a process of its own: they share no runs."""
+"""Compute papers in parallel, each in a separate process, because they share no runs."""
 
 import multiprocessing
 import os
@@ -10,15 +10,15 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 T = TypeVar("T")
-Told = Callable[[str, str], None]
-"""Hears of a paper's progress: its name and the entry that begins, or nothing when one has ended."""
+Report = Callable[[str, str], None]
+"""Called with the progress of a paper: its name and the entry that begins, or "" when an entry has ended."""
 
 
-def side_by_side(work: Callable[[str, Told], T], names: Sequence[str], jobs: int, told: Told) -> list[T]:
-    """work(name, told) of each name, in the order of names, `jobs` of them at a time.
+def side_by_side(work: Callable[[str, Report], T], names: Sequence[str], jobs: int, report: Report) -> list[T]:
+    """Return work(name, report) of each name, in order, with `jobs` processes at a time.
 
-    work: can be pickled, and returns what it has when KeyboardInterrupt is raised in it, which happens once
-    After Ctrl-C, names that have not begun are left out.
+    work: picklable; after KeyboardInterrupt, which is raised once, it returns its partial result
+    After Ctrl-C, names that have not begun are skipped.
     """
     context = multiprocessing.get_context("spawn")
     with context.Manager() as manager, ProcessPoolExecutor(min(jobs, len(names)), mp_context=context) as pool:
@@ -27,13 +27,13 @@ def side_by_side(work: Callable[[str, Told], T], names: Sequence[str], jobs: int
 
         def listen() -> None:
             for news in iter(heard.get, None):
-                told(*news)
+                report(*news)
 
         listener = threading.Thread(target=listen, daemon=True)
         listener.start()
         running: list[Future[list[T]]] = []
         try:
-            # Processes inherit it: what is idle or still imports has nothing to write, and would print a traceback
+            # Processes inherit this: an idle or importing process has nothing to write, and would print a traceback
             with _held():
                 running += [pool.submit(_one, work, name, heard, ending) for name in names]
         except KeyboardInterrupt:
@@ -45,7 +45,7 @@ def side_by_side(work: Callable[[str, Told], T], names: Sequence[str], jobs: int
 
 
 def _wait(running: Sequence[Future[Any]], ending: Any) -> None:
-    """Until all have ended."""
+    """Wait until all have ended."""
     while True:
         try:
             wait(running)
@@ -55,7 +55,7 @@ def _wait(running: Sequence[Future[Any]], ending: Any) -> None:
 
 
 def _end(running: Sequence[Future[Any]], ending: Any) -> None:
-    """A terminal's Ctrl-C reaches all processes, but one that is sent reaches this one alone."""
+    """End workers: Ctrl-C in a terminal reaches all processes, but a signal sent by a program only this one."""
     ending.set()
     for one in running:
         one.cancel()
@@ -64,8 +64,8 @@ def _end(running: Sequence[Future[Any]], ending: Any) -> None:
             os.kill(process.pid, signal.SIGINT)
 
 
-def _one(work: Callable[[str, Told], T], name: str, heard: Any, ending: Any) -> list[T]:
-    """What came of it; nothing where it has not begun."""
+def _one(work: Callable[[str, Report], T], name: str, progress: Any, ending: Any) -> list[T]:
+    """Return a list with the result; empty if it has not begun."""
     if ending.is_set():
         return []
     before = signal.signal(signal.SIGINT, _once)
@@ -74,21 +74,21 @@ def _one(work: Callable[[str, Told], T], name: str, heard: Any, ending: Any) -> 
     except KeyboardInterrupt:
         return []
     try:
-        return [work(name, lambda *news: heard.put(news))]
+        return [work(name, lambda *news: progress.put(news))]
     finally:
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         signal.signal(signal.SIGINT, before or signal.SIG_DFL)
 
 
 def _once(number: int, frame: object) -> None:
-    """A second Ctrl-C must not cut off the writing of what is done."""
+    """Ignore a second Ctrl-C, so that results are written completely."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
 @contextmanager
 def _held() -> Iterator[None]:
-    """Ctrl-C waits for the end of the block, in this thread and for good in processes that begin in it."""
+    """Delay Ctrl-C to the end of the block in this thread, and permanently in processes that begin in it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -91,11 +91,11 @@ def test_windows_hold_whole_periods():
 
 
 def test_filtered_steady_state_is_nothing_and_the_gain_makes_the_measured_peak():
-    sight = setup.Sight()
-    trace = modulated_rows.gained(ENDLESS, "step", sight)
+    probe = setup.Probe()
+    trace = modulated_rows.gained(ENDLESS, "step", probe)
     assert step_rows.peak_of(trace) == pytest.approx(modulated_rows.STEP_PEAK_UM, rel=1e-9)
     assert abs(step_rows.steady_of(trace)) < 1e-3
-    plain = traces.measured(ENDLESS, "step", replace(sight, highpass=False))
+    plain = traces.measured(ENDLESS, "step", replace(probe, highpass=False))
     assert step_rows.steady_of(plain) == pytest.approx(step_rows.steady_of(traces.raw(ENDLESS, "step")), rel=5e-3)
 
 
@@ -107,7 +107,7 @@ def test_a_first_order_filter_forgets_a_ramp_exponentially():
     motion = Motion(times, np.zeros((1, 3)), moved, moved, 0.0, "", "", 0.0)
     up = np.array([[0.0, 0.0, 1.0]])
     surface = SurfaceMotion(times, motion.points, up, moved, runs.by_differences(motion).velocity_m_s)
-    settings = traces.vibrometer(setup.Sight(order=1)).model_copy(update={"duration_s": 0.09})
+    settings = traces.vibrometer(setup.Probe(order=1)).model_copy(update={"duration_s": 0.09})
     record = vibrometer_record(surface, settings)
     late, ramp = np.array([5e-3, 10e-3]), np.linspace(0.0, setup.RAMP_S, 2001)
     slope = -1e-6 * np.gradient(setup.course("ramp", ramp), ramp)
@@ -128,8 +128,8 @@ def test_sums_of_differences_do_not_drift():
 
 
 def test_map_and_trace_agree_in_the_middle():
-    trace = traces.measured(ENDLESS, "step", setup.Sight())
-    seen = maps.measured_map(ENDLESS, "step", setup.Sight())
+    trace = traces.measured(ENDLESS, "step", setup.Probe())
+    seen = maps.measured_map(ENDLESS, "step", setup.Probe())
     middle = seen.values[len(seen.axis_m) // 2, len(seen.axis_m) // 2]
     assert middle == pytest.approx(np.sqrt(np.mean(trace.values**2)), rel=0.015)
     np.testing.assert_allclose(seen.values, seen.values[:, ::-1])

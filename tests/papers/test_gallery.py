@@ -15,7 +15,7 @@ from palmfield_papers.entries import book
 from palmfield_papers.registry import NAMES, paper
 from palmfield_papers.rows import Row, Tried
 from palmfield_papers.run import numbers
-from palmfield_papers.verdicts import hangs_on_estimator, hold, verdict
+from palmfield_papers.verdicts import compared, hangs_on_estimator, verdict
 
 GALLERY = Path(__file__).parents[2] / "docs" / "gallery"
 ENTRIES = {entry.id: entry for entry in book().entries}
@@ -59,11 +59,11 @@ def test_the_verdicts_follow_from_the_numbers(name):
                     answer["ours"], margin=answer["margin"], against=answer["against"],
                     other_estimate=answer.get("other_estimate"),
                 )  # fmt: skip
-            tried.append(Tried(answer["readings"], given, hold(entry, given) if given and entry.counts else None))
+            tried.append(Tried(answer["readings"], given, compared(entry, given) if given and entry.counts else None))
             if given is not None and entry.counts:
-                assert tried[-1].held.within == answer["within"], one["id"]
+                assert tried[-1].comparison.within == answer["within"], one["id"]
         if entry.counts:
-            said = verdict(entry, [each.held for each in tried])
+            said = verdict(entry, [each.comparison for each in tried])
             assert ("depends" if hangs_on_estimator(tried[0].answer) else said) == one["verdict"], one["id"]
         rows.append(Row(entry, tuple(tried), one["verdict"]))
     assert counts(rows) == committed["counts"]
@@ -79,7 +79,7 @@ def rows_of(name):
             Answer(each["ours"], each["error"], margin=each["margin"], against=each["against"])
             for each in one["tried"]
         ]  # fmt: skip
-        tried = [Tried({}, given, hold(entry, given) if given and entry.counts else None) for given in answers]
+        tried = [Tried({}, given, compared(entry, given) if given and entry.counts else None) for given in answers]
         rows.append(Row(entry, tuple(tried), one["verdict"]))
     return rows
 
@@ -153,4 +153,4 @@ def test_numbers_computed_again_are_those_of_the_page(name):
         committed = rows[key]["tried"][0]
         allowed = max(NEAR * abs(committed["ours"]), answer.error or 0.0, committed["error"] or 0.0)
         assert answer.value == pytest.approx(committed["ours"], abs=allowed), key
-        assert hold(entry, answer).within == committed["within"], key
+        assert compared(entry, answer).within == committed["within"], key

@@ -12,10 +12,10 @@ from palmfield_papers.answer import Answer, Cause, Paper, Picture, Setting
 from palmfield_papers.counts import counts, noticed, turned_later, unsure, untested
 from palmfield_papers.entries import Book, Control, Entry, Tolerance, book
 from palmfield_papers.index import as_html
-from palmfield_papers.page import page, told
+from palmfield_papers.page import page, row_text
 from palmfield_papers.registry import paper
 from palmfield_papers.rows import row
-from palmfield_papers.verdicts import distance_in_tolerances, hold, verdict
+from palmfield_papers.verdicts import compared, distance_in_tolerances, verdict
 
 RELATIVE = Tolerance("missing_inputs", "relative", 0.25)
 YES_NO = Tolerance("yes_no", "inequality", 0.0)
@@ -73,23 +73,23 @@ def test_a_factor_asks_for_the_sign():
 
 def test_an_inequality_is_held_by_its_margin():
     asked = entry("N1a", value=1.0, tolerance=YES_NO)
-    assert hold(asked, Answer(1.2, margin=0.2)).within
-    assert not hold(asked, Answer(0.9, margin=-0.1)).within
+    assert compared(asked, Answer(1.2, margin=0.2)).within
+    assert not compared(asked, Answer(0.9, margin=-0.1)).within
     with pytest.raises(MeasurementError, match=r"N1a.*no margin"):
-        hold(asked, Answer(1.2))
+        compared(asked, Answer(1.2))
 
 
 def test_a_range_is_met_all_over_and_missed_by_what_lies_beyond_its_end():
     asked = entry("N1a", value=[11.0, 12.0], tolerance=Tolerance("stated_inputs", "relative", 0.1))
-    assert hold(asked, Answer(11.3)).distance == 1.0
-    assert hold(asked, Answer(13.0)).distance == pytest.approx(1.0 - 10.0 / 12.0)
-    assert not hold(asked, Answer(9.8)).within
+    assert compared(asked, Answer(11.3)).distance == 1.0
+    assert compared(asked, Answer(13.0)).distance == pytest.approx(1.0 - 10.0 / 12.0)
+    assert not compared(asked, Answer(9.8)).within
 
 
 def test_a_reading_may_hold_another_printed_number():
     asked = entry("N1a", value=10.0)
-    assert not hold(asked, Answer(7.0)).within
-    assert hold(asked, Answer(7.0, against=8.0)).distance == pytest.approx(0.5)
+    assert not compared(asked, Answer(7.0)).within
+    assert compared(asked, Answer(7.0, against=8.0)).distance == pytest.approx(0.5)
 
 
 def test_an_answer_without_a_number_says_why():
@@ -97,7 +97,7 @@ def test_an_answer_without_a_number_says_why():
         Answer(None)
     with pytest.raises(ValueError, match="nan"):
         Answer(math.nan)
-    assert hold(entry("N1a"), Answer(None, note="outside the table")) is None
+    assert compared(entry("N1a"), Answer(None, note="outside the table")) is None
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_readings_make_the_verdict(values, said):
 
 def test_a_reading_without_a_value_says_nothing_and_a_base_without_one_leaves_no_answer():
     one = entry("N1a")
-    inside, none = hold(one, Answer(10.0)), None
+    inside, none = compared(one, Answer(10.0)), None
     assert verdict(one, [inside, none]) == "agrees"
     assert verdict(one, [none, inside]) == "no answer"
     assert verdict(replace(one, testable=False), [inside]) == "not testable"
@@ -175,7 +175,7 @@ def test_causes_are_tested_only_where_a_claim_disagrees():
     }
     assert said[10.0].causes == ()
     [(what, tried)] = said[30.0].causes
-    assert what == "the other size" and tried.held.within
+    assert what == "the other size" and tried.comparison.within
 
 
 def test_what_was_written_later_is_told_apart_from_controls():
@@ -242,7 +242,7 @@ def test_numbers_alone_are_told_under_their_readings(monkeypatch):
     monkeypatch.setattr(running, "paper", lambda name: nobody(answers))
     monkeypatch.setattr(running, "book", lambda: book_of(first, second))
     [one] = running.numbers(["N1a"])
-    text = told(one)
+    text = row_text(one)
     assert "N1a a length: 10 mm, measured; depends" in text
     assert "size: large: 20 (error 0.01" in text and "control half: 5 " in text
     with pytest.raises(SceneError, match="N9z"):

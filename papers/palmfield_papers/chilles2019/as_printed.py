@@ -11,14 +11,14 @@ def incident_lagrangian_as_printed(field: Field, air: Air, frequency_Hz: float) 
     """Chilles et al. 2019 (doi 10.1109/WHC.2019.8816097): <p^2>/(2 rho c^2) - rho <u.u>/2 [Pa], shape (n,).
 
     They print u^2.u for u.u and apply it to the incident sound, without the echo, as a load on the skin. In a
-    travelling wave the two terms are equal, so that a plane wave exerts no pressure. At a focus a remainder comes from
-    its convergence: 2.3 % of the right pressure, with their array at 200 mm. On a rigid wall the formula holds for
-    the total field, and a plane wave pushes with 2 <p^2>/(rho c^2) of its own pressure. Corrected:
+    travelling wave the two terms are equal, so that a plane wave exerts no pressure. At a focus a difference comes from
+    its convergence: 2.3 % of the correct pressure, with their array at 200 mm. On a rigid wall the formula holds for
+    the total field, and the pressure of a plane wave is 2 <p^2>/(rho c^2) of its incident field. Corrected:
     `palmfield.acoustics.arp.arp`, law default.
 
     field: incident pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), peak amplitudes.
     air: theirs is rho 1.225 kg/m3 and c 343 m/s.
-    Raises PalmfieldError for a field without gradient or that is not finite, SceneError for bad air or frequency.
+    Raises PalmfieldError for a field without gradient or that is not finite, SceneError for invalid air or frequency.
     """
     check.frequency(frequency_Hz)
     if field.gradient is None:

@@ -1,4 +1,4 @@
-"""Possible reasons for claims that disagree, each tested by changing it alone."""
+"""Possible reasons for claims that disagree, each tested separately."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 from palmfield.metrics import peak_to_peak, rms, strongest_line
 from palmfield_papers.answer import Answer, Cause, Compute, Setting
 from palmfield_papers.chilles2019.modulated_rows import MEASURED_STIMULI, STEP_PEAK_UM, gained
-from palmfield_papers.chilles2019.setup import Case, Sight, case_of, reading, sight_of
+from palmfield_papers.chilles2019.setup import Case, Probe, case_of, probe_of, reading
 from palmfield_papers.chilles2019.step_rows import DOMINANT_HZ, LINES_HZ, peak_of, steady_of
 from palmfield_papers.chilles2019.traces import Trace, measured, measured_window, raw
 
@@ -16,40 +16,40 @@ ONSET_S = 0.03
 
 
 def steady_without_filter(setting: Setting) -> Answer:
-    trace = measured(case_of(setting), "step", replace(sight_of(setting), highpass=False))
+    trace = measured(case_of(setting), "step", replace(probe_of(setting), highpass=False))
     return Answer(steady_of(trace), trace.error)
 
 
 def steady_with_gain(setting: Setting) -> Answer:
-    trace = measured(case_of(setting), "step", replace(sight_of(setting), highpass=False))
+    trace = measured(case_of(setting), "step", replace(probe_of(setting), highpass=False))
     factor = STEP_PEAK_UM / peak_of(trace)
     return Answer(factor * steady_of(trace), factor * trace.error, note=f"gain {factor:.3g}")
 
 
 def steady_of_stiff(setting: Setting) -> Answer:
-    trace = measured(replace(case_of(setting), material="stiff"), "step", replace(sight_of(setting), highpass=False))
+    trace = measured(replace(case_of(setting), material="stiff"), "step", replace(probe_of(setting), highpass=False))
     return Answer(steady_of(trace), trace.error)
 
 
 def line_of(trace: Trace) -> Answer:
-    """The largest line of a trace against the range of row C16."""
+    """Return the largest line of a trace, compared with the range of row C16."""
     value = strongest_line(trace.times_s, trace.values, LINES_HZ)[0]
     spacing = 1.0 / (trace.times_s[-1] - trace.times_s[0])
     return Answer(value, 0.5 * spacing, margin=min(value - DOMINANT_HZ[0], DOMINANT_HZ[1] - value))
 
 
 def line_of_velocity(setting: Setting) -> Answer:
-    trace = measured(case_of(setting), "step", sight_of(setting))
+    trace = measured(case_of(setting), "step", probe_of(setting))
     return line_of(replace(trace, values=np.gradient(trace.values, trace.times_s)))
 
 
 def line_of_onset(setting: Setting) -> Answer:
-    return line_of(measured(case_of(setting), "step", sight_of(setting)).until(ONSET_S))
+    return line_of(measured(case_of(setting), "step", probe_of(setting)).until(ONSET_S))
 
 
-def line_in(change: Callable[[Case], Case], sight: Callable[[Sight], Sight] = lambda one: one) -> Compute:
+def line_in(change: Callable[[Case], Case], probe: Callable[[Probe], Probe] = lambda one: one) -> Compute:
     def compute(setting: Setting) -> Answer:
-        return line_of(measured(change(case_of(setting)), "step", sight(sight_of(setting))))
+        return line_of(measured(change(case_of(setting)), "step", probe(probe_of(setting))))
 
     return compute
 
@@ -62,13 +62,13 @@ def size_with(
     kind: str,
     number: Callable[..., float],
     case: Callable[[Case], Case] = lambda one: one,
-    sight: Callable[[Sight], Sight] = lambda one: one,
+    probe: Callable[[Probe], Probe] = lambda one: one,
 ) -> Compute:
-    """Peak to peak or rms under AM or STM with another slab or vibrometer, the gain fitted anew on the step."""
+    """Return peak to peak or rms under AM or STM with another slab or vibrometer, and gain fitted again on the step."""
 
     def compute(setting: Setting) -> Answer:
         stimulus = MEASURED_STIMULI[kind]
-        trace = gained(case(case_of(setting)), stimulus, sight(sight_of(setting)))
+        trace = gained(case(case_of(setting)), stimulus, probe(probe_of(setting)))
         window = measured_window(reading(setting, "chilles_window"), stimulus)
         return Answer(number(trace.times_s, trace.values, window), trace.error)
 
@@ -77,13 +77,13 @@ def size_with(
 
 def of_size(kind: str, number: Callable[..., float]) -> tuple[Cause, ...]:
     return (
-        Cause("no high-pass on the velocity", size_with(kind, number, sight=lambda one: replace(one, highpass=False))),
+        Cause("no high-pass on the velocity", size_with(kind, number, probe=lambda one: replace(one, highpass=False))),
         Cause(
             "the high-pass runs forward and backward",
-            size_with(kind, number, sight=lambda one: replace(one, phase="zero_phase")),
+            size_with(kind, number, probe=lambda one: replace(one, phase="zero_phase")),
         ),
         Cause(
-            "the head looks straight down", size_with(kind, number, sight=lambda one: replace(one, incidence_deg=0.0))
+            "the head looks straight down", size_with(kind, number, probe=lambda one: replace(one, incidence_deg=0.0))
         ),
         Cause(
             "both moduli one standard deviation higher",

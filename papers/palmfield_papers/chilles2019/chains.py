@@ -1,4 +1,4 @@
-"""Every chain from the vibrometer's beam to the printed numbers, and how many of the six each explains."""
+"""Compute all chains from the vibrometer to the printed numbers, and how many of the six each explains."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from palmfield.metrics import peak_to_peak, rms
 from palmfield_papers.chilles2019.filter_rows import SIX, agreeing
 from palmfield_papers.chilles2019.modulated_rows import STEP_PEAK_UM
 from palmfield_papers.chilles2019.runs import at_observer
-from palmfield_papers.chilles2019.setup import RECORD_S, Case, Sight, Stimulus
+from palmfield_papers.chilles2019.setup import RECORD_S, Case, Probe, Stimulus
 from palmfield_papers.chilles2019.step_rows import peak_of, steady_of
 from palmfield_papers.chilles2019.traces import UM, Trace, measured, measured_window, vibrometer
 from palmfield_papers.entries import book
@@ -19,7 +19,7 @@ from palmfield_papers.entries import book
 
 @dataclass(frozen=True)
 class Chain:
-    """order: of the high-pass, 0 for none; drift: whether a straight line is taken off the displacement;
+    """order: of the high-pass, 0 for none; drift: whether a straight line is subtracted from the displacement;
     gain: whether the load is fitted on the step's peak, else 12 Pa"""
 
     order: int
@@ -32,7 +32,7 @@ class Chain:
 
 @dataclass(frozen=True)
 class Explained:
-    """What a chain gives: the six numbers [um] by id, and which of them are within their tolerances."""
+    """Result of a chain: the six numbers [um] by id, and which of them are within their tolerances."""
 
     chain: Chain
     numbers: dict[str, float]
@@ -40,7 +40,7 @@ class Explained:
 
 
 def chains() -> list[Chain]:
-    """Order, phase, drift, level, azimuth and window in all combinations; without a filter there is no phase."""
+    """Return all combinations of order, phase, drift, level, azimuth and window; without a filter there is no phase."""
     kinds = [(0, "causal"), *((order, phase) for order in (1, 2, 4) for phase in ("causal", "zero_phase"))]
     return [
         Chain(order, phase, drift, gain, azimuth, window)
@@ -54,16 +54,16 @@ def chains() -> list[Chain]:
 
 @cache
 def _trace(case: Case, stimulus: Stimulus, chain: Chain) -> Trace:
-    sight = Sight(
+    probe = Probe(
         azimuth_deg=chain.azimuth_deg, order=max(chain.order, 1),
         phase="zero_phase" if chain.phase == "zero_phase" else "causal", highpass=chain.order > 0,
     )  # fmt: skip
-    trace = measured(case, stimulus, sight)
+    trace = measured(case, stimulus, probe)
     return replace(trace, values=detrend(trace.values)) if chain.drift else trace
 
 
 def explained(case: Case, chain: Chain) -> Explained:
-    """The six numbers through a chain. The gain is fitted on the step's peak, which then agrees by itself."""
+    """Return the six numbers of a chain. With a gain fitted on the peak of the step, that peak agrees necessarily."""
     key = replace(chain, gain=False, window="")
     step = _trace(case, "step", key)
     numbers = {"C14a": steady_of(step), "C14c": peak_of(step)}
@@ -83,10 +83,10 @@ def all_explained(case: Case) -> tuple[Explained, ...]:
 
 
 def both_ways(case: Case, order: int, before_s: float) -> tuple[float, float]:
-    """Steady state and peak of the step [um] where the filter runs forward and backward over a record that begins
+    """Return steady state and peak of the step [um] if the filter runs forward and backward over a record that begins
     `before_s` before the trigger."""
     run = at_observer(case, "step")
-    settings = vibrometer(Sight(order=order, phase="zero_phase"))
+    settings = vibrometer(Probe(order=order, phase="zero_phase"))
     early = settings.model_copy(update={"trigger_s": -before_s, "duration_s": RECORD_S + before_s})
     record = vibrometer_record(run.motion, early)
     times = record["time"].values - before_s
@@ -95,5 +95,5 @@ def both_ways(case: Case, order: int, before_s: float) -> tuple[float, float]:
 
 
 def fully(found: Sequence[Explained]) -> list[Explained]:
-    """Chains that bring all six within their tolerances."""
+    """Return the chains with all six numbers within their tolerances."""
     return [one for one in found if len(one.within) == len(SIX)]

@@ -12,7 +12,7 @@ from palmfield.skin.materials.material import bulk_from_poisson
 def ecoflex_time_as_printed() -> Material:
     """Ecoflex 00-10 with their printed time, tau = 0.171 us.
 
-    eta / G_m = 3.42 Pa s / 20 kPa is 171 us, a thousand times more: with the printed time the material shows no loss
+    eta / G_m = 3.42 Pa s / 20 kPa is 171 us, a thousand times more: with the printed time the material has no loss
     below 100 kHz. Corrected: preset 'ecoflex_00-10'.
     """
     right = preset("ecoflex_00-10")
@@ -22,8 +22,8 @@ def ecoflex_time_as_printed() -> Material:
 def ecoflex_bulk_corrected() -> Material:
     """Ecoflex 00-10 with nu 0.495 of the instantaneous modulus.
 
-    Preset 'ecoflex_00-10' reads nu as printed, of the relaxed modulus: it softens in volume as it stiffens in shear, to
-    nu 0.487 at once.
+    Preset 'ecoflex_00-10' reads nu as printed, of the relaxed modulus: under fast loads the shear modulus rises and
+    Poisson's ratio falls to nu 0.487.
     """
     right = preset("ecoflex_00-10")
     bulk = bulk_from_poisson(0.495, right.shear_instant_Pa)
@@ -33,7 +33,7 @@ def ecoflex_bulk_corrected() -> Material:
 def ecoflex_rate_law_as_printed() -> float:
     """Shear modulus [Pa] of Ecoflex 00-10 by their law as printed, eps' = sigma_1'/G_m + sigma_2'/eta.
 
-    With sigma_1 = G_r eps it says sigma_2 = eta (1 - G_r/G_m) eps: a strain times Pa s is no stress, and, taken in SI
+    With sigma_1 = G_r eps it gives sigma_2 = eta (1 - G_r/G_m) eps: a strain times Pa s is not a stress, and with SI
     numbers, the solid has the same modulus at all frequencies and no loss. Corrected: eps' = sigma_2'/G_m +
     sigma_2/eta, `complex_shear` of the preset.
     """
@@ -44,8 +44,8 @@ def ecoflex_rate_law_as_printed() -> float:
 def ecoflex_rate_law_mixed(f_Hz: float) -> complex:
     """Complex shear modulus [Pa] at f [Hz] of their law with its last dot treated as a misprint.
 
-    eps' = sigma_1'/G_m + sigma_2/eta still has sigma_1 of the spring in the place of sigma_2 of the branch: G = G_r -
-    i w eta (1 - G_r/G_m), a Kelvin-Voigt solid that never stiffens. Corrected as above.
+    eps' = sigma_1'/G_m + sigma_2/eta still contains sigma_1 of the spring instead of sigma_2 of the branch: G = G_r -
+    i w eta (1 - G_r/G_m), a Kelvin-Voigt solid. Corrected as above.
     """
     material = preset("ecoflex_00-10")
     return complex(material.shear_relaxed_Pa, -2.0 * math.pi * f_Hz * left_over_viscosity(material))

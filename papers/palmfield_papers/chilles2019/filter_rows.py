@@ -1,11 +1,11 @@
-"""Row C6: what the 50 Hz high-pass leaves, and whether any pair of order and window explains all six numbers."""
+"""Row C6: effect of the 50 Hz high-pass, and whether any pair of order and window explains all six numbers."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 from palmfield.metrics import peak_to_peak, rms
 from palmfield_papers.answer import Answer, Compute, Setting
-from palmfield_papers.chilles2019.setup import Case, Sight, Stimulus, case_of
+from palmfield_papers.chilles2019.setup import Case, Probe, Stimulus, case_of
 from palmfield_papers.chilles2019.step_rows import peak_of, steady_of
 from palmfield_papers.chilles2019.traces import measured, measured_window, raw
 from palmfield_papers.entries import Entry, book
@@ -13,28 +13,28 @@ from palmfield_papers.verdicts import distance_in_tolerances
 
 ORDERS = (1, 2, 4)
 SIX = ("C14a", "C14c", "C19a", "C19c", "C20a", "C20c")
-"""Steady state and peak of the step, peak to peak and rms of AM and STM: the measured column."""
+"""Steady state and peak of the step, peak to peak and rms of AM and STM: the column of measured values."""
 CONFIGURATIONS: dict[str, tuple[str, Stimulus]] = {
     "first": ("infinite", "ramp"),
     "second": ("infinite", "step"),
 }
-"""papers.md names neither of its two; ours are the endless slab with and without the ramp."""
+"""papers.md does not name its two configurations; ours are the infinite slab with and without the ramp."""
 
 
-def six(case: Case, sight: Sight, window: str, factor: float = 1.0) -> dict[str, float]:
-    """The six numbers [um] through one chain and one window, the load times a factor."""
-    step = measured(case, "step", sight)
+def six(case: Case, probe: Probe, window: str, factor: float = 1.0) -> dict[str, float]:
+    """Return the six numbers [um] for one chain, one window and the load times a factor."""
+    step = measured(case, "step", probe)
     found = {"C14a": steady_of(step), "C14c": peak_of(step)}
     stimuli: tuple[tuple[Stimulus, str, str], ...] = (("am_pressure", "C19a", "C19c"), ("stm", "C20a", "C20c"))
     for stimulus, size, mean in stimuli:
-        trace, span = measured(case, stimulus, sight), measured_window(window, stimulus)
+        trace, span = measured(case, stimulus, probe), measured_window(window, stimulus)
         found[size] = peak_to_peak(trace.times_s, trace.values, span)
         found[mean] = rms(trace.times_s, trace.values, span)
     return {name: factor * value for name, value in found.items()}
 
 
 def agreeing(found: dict[str, float]) -> list[str]:
-    """Which of the six are within their tolerances."""
+    """Return which of the six are within their tolerances."""
     entries: dict[str, Entry] = {entry.id: entry for entry in book().entries if entry.id in found}
     return [
         name
@@ -46,10 +46,10 @@ def agreeing(found: dict[str, float]) -> list[str]:
 
 
 def pairs(setting: Setting) -> Answer:
-    """How many pairs of order and window bring all six within their tolerances at 12 Pa."""
+    """Return how many pairs of order and window have all six within their tolerances at 12 Pa."""
     case, windows = case_of(setting), book().axes["chilles_window"]
     found = {
-        (order, window): len(agreeing(six(case, Sight(order=order), window))) for order in ORDERS for window in windows
+        (order, window): len(agreeing(six(case, Probe(order=order), window))) for order in ORDERS for window in windows
     }
     count = sum(number == len(SIX) for number in found.values())
     best = max(found, key=lambda pair: found[pair])
@@ -69,17 +69,17 @@ def peak_before(which: str) -> Compute:
 def peak_after(which: str, order: int) -> Compute:
     def compute(setting: Setting) -> Answer:
         side, start = CONFIGURATIONS[which]
-        trace = measured(replace(case_of(setting), side=side), start, Sight(order=order))
+        trace = measured(replace(case_of(setting), side=side), start, Probe(order=order))
         return Answer(-peak_of(trace), trace.error, note=f"{side} slab, {start}: papers.md names no configuration")
 
     return compute
 
 
 def peak_in_range(order: int, least: float, most: float) -> Compute:
-    """A range: held by hand, as no single number stands in the entry."""
+    """Compare with a range here, because the entry has no single number."""
 
     def compute(setting: Setting) -> Answer:
-        trace = measured(case_of(setting), "step", Sight(order=order))
+        trace = measured(case_of(setting), "step", Probe(order=order))
         value = -peak_of(trace)
         where = "inside" if least <= value <= most else "outside"
         return Answer(None, note=f"{value:.3g} um, {where} of {least:g} to {most:g} um; a range is not held against")
@@ -89,11 +89,11 @@ def peak_in_range(order: int, least: float, most: float) -> Compute:
 
 def modulated(stimulus: Stimulus, number: Callable[..., float], window: str, side: str = "fixed") -> Compute:
     def compute(setting: Setting) -> Answer:
-        trace = measured(replace(case_of(setting), side=side), stimulus, Sight())
+        trace = measured(replace(case_of(setting), side=side), stimulus, Probe())
         last = number(trace.times_s, trace.values, measured_window("last five periods of the stimulus", stimulus))
         whole = number(trace.times_s, trace.values, None)
         value = last if window == "last" else whole
-        above = measured(replace(case_of(setting), side=side), stimulus, Sight(incidence_deg=0.0))
+        above = measured(replace(case_of(setting), side=side), stimulus, Probe(incidence_deg=0.0))
         shown = {
             "last five periods": last,
             "whole record of 256 ms": whole,

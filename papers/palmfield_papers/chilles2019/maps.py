@@ -1,4 +1,4 @@
-"""Maps of the face: rms and steady displacement of the three stimuli, raw and through the vibrometer."""
+"""Compute maps of the face: rms and steady displacement of the three stimuli, raw and through the vibrometer."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -17,19 +17,19 @@ from palmfield_papers.chilles2019.runs import (
     circle_radii,
     on_circles,
 )
-from palmfield_papers.chilles2019.setup import RADIUS_M, STIMULUS_S, Case, Sight, Stimulus
+from palmfield_papers.chilles2019.setup import RADIUS_M, STIMULUS_S, Case, Probe, Stimulus
 from palmfield_papers.chilles2019.traces import UM, vibrometer
 
 GRID_M = 1e-3
 STEADY_S = (0.18, 0.2)
 RAYS = 8
-"""Steps of the angle from the head's side to the other, on whose rays readings are computed."""
+"""Number of steps in angle from the side of the head to the other, along whose rays readings are computed."""
 GROUP = 1000
 
 
 @dataclass(frozen=True)
 class Map:
-    """A number [um] at places of the face. values: shape (n, n) at x and y [m], x first; error: relative"""
+    """A number [um] at points of the face. values: shape (n, n) at x and y [m], x first; error: relative"""
 
     axis_m: Float
     values: Float
@@ -52,7 +52,7 @@ def grid_axis() -> Float:
 
 
 def raw_profile(case: Case, stimulus: Stimulus, of: str) -> tuple[Float, Float, float]:
-    """Radii [m] a millimetre apart, rms or steady vertical displacement there [um] within 200 ms, and its error."""
+    """Return radii [m] at steps of 1 mm, rms or steady vertical displacement [um] within 200 ms, and its error."""
     run = along_radius(case, stimulus)
     times = np.arange(round(STIMULUS_S * MAP_RATE_HZ) + 1) / MAP_RATE_HZ
     moved = UM * case.level_Pa * sampled(run.motion.times_s, run.motion.displacement_m[:, :, 2], times)
@@ -63,31 +63,31 @@ def raw_profile(case: Case, stimulus: Stimulus, of: str) -> tuple[Float, Float, 
 
 
 def round_map(radii_m: Float, profile: Float, error: float) -> Map:
-    """A map of the disc, 0 beyond it, of what is the same in all directions."""
+    """Return a map of an axisymmetric quantity on the disc, 0 outside."""
     axis = grid_axis()
     radius = np.hypot(*np.meshgrid(axis, axis, indexing="ij"))
     return Map(axis, np.where(radius <= RADIUS_M + 1e-9, CubicSpline(radii_m, profile)(radius), 0.0), error)
 
 
-def measured_map(case: Case, stimulus: Stimulus, sight: Sight) -> Map:
-    """Rms over 256 ms of what the vibrometer records of a spot in the middle, 0 beyond the disc."""
-    one = _measured_map(replace(case, level_Pa=1.0), stimulus, replace(sight, azimuth_deg=0.0))
+def measured_map(case: Case, stimulus: Stimulus, probe: Probe) -> Map:
+    """Return the rms over 256 ms of the vibrometer reading under a spot in the centre, 0 outside the disc."""
+    one = _measured_map(replace(case, level_Pa=1.0), stimulus, replace(probe, azimuth_deg=0.0))
     values = case.level_Pa * one.values
-    # The motion is the same in all directions, so that a head at 90 degrees sees the map turned
-    return replace(one, values=values.T if sight.azimuth_deg == 90.0 else values)
+    # The motion is axisymmetric, so a head at 90 degrees records the rotated map
+    return replace(one, values=values.T if probe.azimuth_deg == 90.0 else values)
 
 
 @cache
-def _measured_map(case: Case, stimulus: Stimulus, sight: Sight) -> Map:
-    """From places on rays: the mean square is a sum of cosines of the angle to the head, two with parallel beams."""
+def _measured_map(case: Case, stimulus: Stimulus, probe: Probe) -> Map:
+    """Compute from points on rays: the mean square is a sum of cosines of the angle to the head."""
     run, axis = along_radius(case, stimulus), grid_axis()
     angles = np.pi * np.arange(RAYS + 1) / RAYS
     radii = run.motion.points[:, 0]
     places = (radii[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)).reshape(-1, 2)
-    square = np.concatenate([_rms(part, sight) for part in _spun(run.motion, places)]).reshape(len(radii), -1) ** 2
+    square = np.concatenate([_rms(part, probe) for part in _spun(run.motion, places)]).reshape(len(radii), -1) ** 2
     cosines = np.cos(np.outer(angles, np.arange(RAYS + 1)))
     parts = np.linalg.solve(cosines, square.T).T
-    # Across the middle even ones go on, and odd ones change their sign
+    # Across the centre even terms continue, and odd ones change their sign
     beyond = parts[:0:-1] * (-1.0) ** np.arange(RAYS + 1)
     of_radius = CubicSpline(np.concatenate([-radii[:0:-1], radii]), np.concatenate([beyond, parts]))
     x, y = np.meshgrid(axis, axis, indexing="ij")
@@ -99,13 +99,13 @@ def _measured_map(case: Case, stimulus: Stimulus, sight: Sight) -> Map:
     return Map(axis, values, run.error)
 
 
-def _rms(motion: SurfaceMotion, sight: Sight) -> Float:
-    record = vibrometer_record(motion, vibrometer(sight, MAP_RATE_HZ))
+def _rms(motion: SurfaceMotion, probe: Probe) -> Float:
+    record = vibrometer_record(motion, vibrometer(probe, MAP_RATE_HZ))
     return UM * rms_map(record["time"].values, record.values)
 
 
 def _spun(motion: SurfaceMotion, places: Float) -> Iterator[SurfaceMotion]:
-    """Motion at places (n, 2) from that along the x axis, which is the same in all directions, in groups."""
+    """Yield axisymmetric motion at points (n, 2) from that along the x axis, in groups."""
     radii = motion.points[:, 0]
     lines = [
         CubicSpline(radii, values[:, :, (0, 2)], axis=1) for values in (motion.displacement_m, motion.velocity_m_s)
@@ -122,14 +122,14 @@ def _spun(motion: SurfaceMotion, places: Float) -> Iterator[SurfaceMotion]:
         yield SurfaceMotion(motion.times_s, points, np.tile([0.0, 0.0, 1.0], (len(part), 1)), *moved)
 
 
-def measured_circles(case: Case, sight: Sight) -> Circles:
-    """Rms over 256 ms of what the vibrometer records under the moving spot."""
-    one = _measured_circles(replace(case, level_Pa=1.0), sight)
+def measured_circles(case: Case, probe: Probe) -> Circles:
+    """Return the rms over 256 ms of the vibrometer reading under the moving spot."""
+    one = _measured_circles(replace(case, level_Pa=1.0), probe)
     return replace(one, values=case.level_Pa * one.values, middle=case.level_Pa * one.middle)
 
 
 @cache
-def _measured_circles(case: Case, sight: Sight) -> Circles:
+def _measured_circles(case: Case, probe: Probe) -> Circles:
     run = on_circles(case)
-    values = _rms(run.motion, sight)
+    values = _rms(run.motion, probe)
     return Circles(circle_radii(case.quick), values[1:].reshape(-1, ANGLES), float(values[0]), run.error)

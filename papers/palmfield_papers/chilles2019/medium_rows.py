@@ -1,4 +1,4 @@
-"""Rows C0, C1, C3, C7, C11, C12, C13 and C22: the silicone, its waves, and arithmetic on what is printed."""
+"""Rows C0, C1, C3, C7, C11, C12, C13 and C22: the silicone, its waves, and arithmetic on printed values."""
 
 import math
 
@@ -22,8 +22,8 @@ STEP_S = 0.2e-3
 PRESET = f"preset {SILICONE}"
 
 
-def given(value: float, note: str = PRESET) -> Compute:
-    """An input that the library's own preset, slab or load confirms."""
+def input_of(value: float, note: str = PRESET) -> Compute:
+    """Return the answer of an input that a preset, slab or load of the library confirms."""
     return lambda _setting: Answer(value, 0.0, note=note)
 
 
@@ -90,7 +90,7 @@ def rate_law(setting: Setting) -> Answer:
 
 
 def rayleigh_ratio(setting: Setting) -> Answer:
-    """|u_t/u_n| at the surface of a half-space (Achenbach 1973, ch. 5), by x = (c_R/c_s)^2."""
+    """Return |u_t/u_n| at the surface of a half-space (Achenbach 1973, ch. 5), by x = (c_R/c_s)^2."""
 
     def at(nu: float) -> float:
         squares = (1.0 - 2.0 * nu) / (2.0 - 2.0 * nu)
@@ -104,7 +104,7 @@ def rayleigh_ratio(setting: Setting) -> Answer:
 
 
 def misfits() -> dict[str, float]:
-    """FEM over measured, of the six pairs that Tables I and II print."""
+    """Return FEM over measured values of the six pairs in Tables I and II."""
     values = {entry.id: entry.value for entry in book().entries}
     pairs = {
         "steady": ("C15a", "C14a"), "step peak": ("C15c", "C14c"), "AM p-p": ("C19b", "C19a"),
@@ -129,8 +129,8 @@ def step_over_time(setting: Setting) -> Answer:
 
 
 def spread(setting: Setting) -> Answer:
-    known = CATALOGUE[SILICONE].ranges[0]
-    return Answer(50.0 * (known.high - known.low), 0.0, note="of the bands on this page; the bulk modulus stays")
+    range_ = CATALOGUE[SILICONE].ranges[0]
+    return Answer(50.0 * (range_.high - range_.low), 0.0, note="of the bands on this page; the bulk modulus stays")
 
 
 _MATERIAL = material_of("given")
@@ -139,17 +139,17 @@ _BRANCH = _MATERIAL.branches[0]
 ANSWERS: dict[str, Compute] = {
     "C0a": lambda setting: Answer(1e3 * (slab_of(case_of(setting)).radius_m or 0.0), 0.0),
     "C0b": thickness,
-    "C0c": given(_MATERIAL.density_kg_m3),
+    "C0c": input_of(_MATERIAL.density_kg_m3),
     "C0d": poisson,
     "C1a": diameter,
     "C1b": thickness,
-    "C1c": given(_MATERIAL.density_kg_m3),
+    "C1c": input_of(_MATERIAL.density_kg_m3),
     "C1d": poisson,
     "C3b": rayleigh_ratio,
-    "C7d": given(2.0 * math.pi * CIRCLE_HZ * CIRCLE_RADIUS_M, "circumference times repetition"),
-    "C11a": given(1e-3 * _MATERIAL.shear_relaxed_Pa),
-    "C11b": given(1e-3 * _BRANCH.shear_Pa),
-    "C11c": given(_BRANCH.shear_Pa * _BRANCH.time_s),
+    "C7d": input_of(2.0 * math.pi * CIRCLE_HZ * CIRCLE_RADIUS_M, "circumference times repetition"),
+    "C11a": input_of(1e-3 * _MATERIAL.shear_relaxed_Pa),
+    "C11b": input_of(1e-3 * _BRANCH.shear_Pa),
+    "C11c": input_of(_BRANCH.shear_Pa * _BRANCH.time_s),
     "C11d": time_constant,
     "C11e": rate_law,
     **{

@@ -1,4 +1,4 @@
-"""Row C13g: the static deflection on the paper's mesh, by quadratic and by linear elements, over the converged one."""
+"""Row C13g: static deflection on the mesh of the paper, with quadratic and linear elements, over the converged one."""
 
 from functools import cache
 
@@ -22,7 +22,7 @@ from palmfield_papers.chilles2019.setup import RADIUS_M, Case, case_of, reading,
 LATERAL_M, ROW_M = 2e-3, 10e-3
 """Section IV.C: "a maximum lateral dimension of 2 mm, and 10 mm length through the thickness"."""
 SPOT_RADIUS_M, FAR_LATERAL_M = 0.02, 4e-3
-"""A quick run has larger elements beyond that radius, which changes the deflection by 2e-5 and halves the time."""
+"""Larger elements beyond this radius in a quick run, which change the deflection by 2e-5 and halve the time."""
 CONVERGED = 0.002
 
 
@@ -36,7 +36,7 @@ def their_mesh(quick: bool) -> Sizes:
 
 @cache
 def converged(case: Case) -> tuple[float, float]:
-    """Deflection in the middle per pascal [m], and its relative error, by the solver for discs."""
+    """Return the deflection in the centre per pascal [m] by the axisymmetric solver, and its relative error."""
     motion = static(slab_of(case), _load(case), [[0.0, 0.0]], accuracy=CONVERGED)
     return float(motion.displacement_m[0, 0, 2]), motion.error
 
@@ -47,7 +47,7 @@ def _load(case: Case) -> Spot:
 
 @cache
 def on_their_mesh(case: Case, order: str) -> float:
-    """Deflection in the middle per pascal [m] by wedges of the paper's sizes. order: quadratic or linear"""
+    """Return the deflection in the centre per pascal [m] with wedges as in the paper. order: quadratic or linear"""
     system = build(slab_of(case), their_mesh(case.quick))
     force = PressureHistory(_load(case), system.mesh, system).final_force()
     moved = static_of_system(system, force) if order == "quadratic" else _linear(system, force)
@@ -55,9 +55,9 @@ def on_their_mesh(case: Case, order: str) -> float:
 
 
 def _linear(system: SkinSystem, force: Float) -> Float:
-    """Static displacement (ndof,) in the space of linear wedges, which is part of that of the quadratic ones.
+    """Return the static displacement (ndof,) in the space of linear wedges, a subspace of the quadratic ones.
 
-    Their strain of volume lies in what it is projected on, so that nothing is softened: linear elements as they are.
+    Their volumetric strain is in the projection space, so they are standard linear elements without softening.
     """
     corners, shares = _from_corners(system.mesh)
     spread = sparse.kron(shares, sparse.identity(3), format="csr")
@@ -69,7 +69,7 @@ def _linear(system: SkinSystem, force: Float) -> Float:
 
 
 def _from_corners(mesh: WedgeMesh) -> tuple[np.ndarray, sparse.csr_matrix]:
-    """Which nodes are corners of elements, and all nodes as means of corners, shape (nodes, corners)."""
+    """Return which nodes are corners of elements, and the matrix of all nodes as means of corners, (nodes, corners)."""
     levels = mesh.elements.reshape(len(mesh.elements), 3, 6)
     corners = np.unique(levels[:, (0, 2), :3])
     column = np.full(len(mesh.nodes), -1)

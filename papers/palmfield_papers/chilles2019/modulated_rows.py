@@ -1,4 +1,4 @@
-"""Rows C17 to C21: the focus that is modulated, and the one that runs on a circle."""
+"""Rows C17 to C21: the modulated focus, and the focus on a circle."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,32 +15,32 @@ from palmfield_papers.chilles2019.setup import (
     CIRCLE_HZ,
     CIRCLE_RADIUS_M,
     Case,
-    Sight,
+    Probe,
     Stimulus,
     case_of,
     course,
     material_of,
+    probe_of,
     reading,
-    sight_of,
 )
 from palmfield_papers.chilles2019.step_rows import LEVEL, banded, step_peak
 from palmfield_papers.chilles2019.traces import Trace, fem_window, measured, measured_window, raw
 
 STEP_PEAK_UM = -1.02
-"""Table I, measured: on it the gain of configuration chilles.measured_gain is fitted."""
+"""Measured value of Table I, on which the gain of configuration chilles.measured_gain is fitted."""
 SHARE = 0.01
 FAR_AM_M, FAR_STM_M = 0.0255, 0.02
 FEM_STIMULI: dict[str, Stimulus] = {"am": "am_load", "stm": "stm"}
 MEASURED_STIMULI: dict[str, Stimulus] = {"am": "am_pressure", "stm": "stm"}
 
 
-def gain(case: Case, sight: Sight) -> float:
-    """By which the load is multiplied for the step's measured peak, seen by the same filter (row C10)."""
-    return STEP_PEAK_UM / step_peak(case, sight)
+def gain(case: Case, probe: Probe) -> float:
+    """Return the factor of the load for the measured peak of the step with the same filter (row C10)."""
+    return STEP_PEAK_UM / step_peak(case, probe)
 
 
-def gained(case: Case, stimulus: Stimulus, sight: Sight) -> Trace:
-    trace, factor = measured(case, stimulus, sight), gain(case, sight)
+def gained(case: Case, stimulus: Stimulus, probe: Probe) -> Trace:
+    trace, factor = measured(case, stimulus, probe), gain(case, probe)
     return replace(trace, values=factor * trace.values, error=factor * trace.error)
 
 
@@ -51,14 +51,14 @@ def fem_trace(case: Case, kind: str, setting: Setting) -> tuple[Trace, tuple[flo
 
 def measured_trace(case: Case, kind: str, setting: Setting) -> tuple[Trace, tuple[float, float] | None]:
     stimulus = MEASURED_STIMULI[kind]
-    return gained(case, stimulus, sight_of(setting)), measured_window(reading(setting, "chilles_window"), stimulus)
+    return gained(case, stimulus, probe_of(setting)), measured_window(reading(setting, "chilles_window"), stimulus)
 
 
 Source = Callable[[Case, str, Setting], tuple[Trace, tuple[float, float] | None]]
 
 
 def size(kind: str, source: Source, number: str) -> Compute:
-    """Peak to peak or rms of a stimulus, in the window of the reading."""
+    """Return peak to peak or rms of a stimulus, in the window of the reading."""
 
     def compute(setting: Setting) -> Answer:
         def value(case: Case) -> float:
@@ -73,8 +73,8 @@ def size(kind: str, source: Source, number: str) -> Compute:
         shown = {}
         if source is measured_trace:
             shown = {
-                "gain fitted on the step": gain(case, sight_of(setting)),
-                "at 12 Pa": value(case) / gain(case, sight_of(setting)),
+                "gain fitted on the step": gain(case, probe_of(setting)),
+                "at 12 Pa": value(case) / gain(case, probe_of(setting)),
             }
         return Answer(
             value(case), (2.0 if number == "p-p" else 1.0) * error, banded(setting, case, value),
@@ -85,7 +85,7 @@ def size(kind: str, source: Source, number: str) -> Compute:
 
 
 def highest(kind: str, inwards: bool) -> Compute:
-    """Largest displacement out of the slab, against a hundredth of the peak-to-peak value."""
+    """Return the largest outward displacement, compared with a hundredth of the peak-to-peak value."""
 
     def compute(setting: Setting) -> Answer:
         def both(case: Case) -> tuple[float, float]:
@@ -105,18 +105,18 @@ def highest(kind: str, inwards: bool) -> Compute:
 
 
 def loudest_radius(setting: Setting) -> Answer:
-    """Radius at which the mean over the angle of the rms map under the moving spot is largest."""
-    sight = sight_of(setting)
+    """Return the radius at which the mean over the angle of the rms map under the moving spot is largest."""
+    probe = probe_of(setting)
 
     def value(case: Case) -> float:
-        return 1e3 * loudest_of(measured_circles(case, sight))
+        return 1e3 * loudest_of(measured_circles(case, probe))
 
     case = case_of(setting)
     return Answer(value(case), 0.5, _map_band(setting, case, value), note="error: half of the grid of 1 mm")
 
 
 def loudest_of(circles: Circles) -> float:
-    """The largest of the angular mean on a grid of 1 mm [m]; between circles it is linear."""
+    """Return the radius of the largest angular mean on a grid of 1 mm [m], linear between circles."""
     radii = np.concatenate([[0.0], circles.radii_m])
     means = np.concatenate([[circles.middle], circles.values.mean(axis=1)])
     grid = 1e-3 * np.arange(0, 60)
@@ -124,42 +124,42 @@ def loudest_of(circles: Circles) -> float:
 
 
 def _map_band(setting: Setting, case: Case, value: Callable[[Case], float]) -> tuple[float, float] | None:
-    """Maps of the moving spot take longest: their band is of the base readings of the full run alone."""
+    """Return a band only for base readings in full runs, because maps of the moving spot take longest."""
     return None if setting.quick or case != Case(device=case.device) else banded(setting, case, value)
 
 
 def far_over_middle(one: Map) -> float:
-    """Largest value beyond 25.5 mm over that in the middle."""
+    """Return the largest value beyond 25.5 mm over that in the centre."""
     radius = np.hypot(*np.meshgrid(one.axis_m, one.axis_m, indexing="ij"))
     middle = len(one.axis_m) // 2
     return float(one.values[radius > FAR_AM_M].max() / one.values[middle, middle])
 
 
 def far_am(setting: Setting) -> Answer:
-    sight = sight_of(setting)
+    probe = probe_of(setting)
 
     def value(case: Case) -> float:
-        return far_over_middle(measured_map(case, "am_pressure", sight))
+        return far_over_middle(measured_map(case, "am_pressure", probe))
 
     case = case_of(setting)
-    ours, error = value(case), measured_map(case, "am_pressure", sight).error
+    ours, error = value(case), measured_map(case, "am_pressure", probe).error
     return Answer(ours, 2.0 * error * ours, banded(setting, case, value), margin=0.5 - ours)
 
 
 def far_over_circle(circles: Circles) -> float:
-    """Largest rms on circles beyond 20 mm over the mean on that of 10 mm."""
+    """Return the largest rms on circles beyond 20 mm over the mean on that of 10 mm."""
     on_path = int(np.argmin(np.abs(circles.radii_m - CIRCLE_RADIUS_M)))
     return float(circles.values[circles.radii_m > FAR_STM_M + 1e-6].max() / circles.values[on_path].mean())
 
 
 def far_stm(setting: Setting) -> Answer:
-    sight = sight_of(setting)
+    probe = probe_of(setting)
 
     def value(case: Case) -> float:
-        return far_over_circle(measured_circles(case, sight))
+        return far_over_circle(measured_circles(case, probe))
 
     case = case_of(setting)
-    circles = measured_circles(case, sight)
+    circles = measured_circles(case, probe)
     ours = value(case)
     on_path = circles.values[int(np.argmin(np.abs(circles.radii_m - CIRCLE_RADIUS_M)))]
     shown = {"least on the path over its mean": float(on_path.min() / on_path.mean())}
@@ -168,35 +168,35 @@ def far_stm(setting: Setting) -> Answer:
 
 
 def am_over_held(setting: Setting) -> Answer:
-    """Rms under AM over that of the held focus, both through the vibrometer, in the window of the reading."""
+    """Return the rms under AM over that of the stationary focus, both through the vibrometer, in the same window."""
     removed = reading(setting, "chilles_mean") == "mean removed"
-    sight = sight_of(setting)
+    probe = probe_of(setting)
 
-    def one(case: Case, stimulus: Stimulus, sight: Sight) -> float:
-        trace = measured(case, stimulus, sight)
+    def one(case: Case, stimulus: Stimulus, probe: Probe) -> float:
+        trace = measured(case, stimulus, probe)
         window = measured_window(reading(setting, "chilles_window"), "am_pressure")
         return rms(trace.times_s, trace.values, window, mean="removed" if removed else "kept")
 
     def value(case: Case) -> float:
-        return one(case, "am_pressure", sight) / one(case, "step", sight)
+        return one(case, "am_pressure", probe) / one(case, "step", probe)
 
     case = case_of(setting)
     ours = value(case)
     error = ours * sum(
-        measured(case, stimulus, sight).error / one(case, stimulus, sight) for stimulus in ("am_pressure", "step")
+        measured(case, stimulus, probe).error / one(case, stimulus, probe) for stimulus in ("am_pressure", "step")
     )
-    plain = replace(sight, highpass=False)
+    plain = replace(probe, highpass=False)
     shown = {"without the high-pass": one(case, "am_pressure", plain) / one(case, "step", plain)}
     return Answer(ours, error, banded(setting, case, value), ours - 1.0 - 1e-9, shown=shown)
 
 
 def area_of(one: Map) -> float:
-    """Where a map exceeds 20 % of its largest [m2]."""
+    """Return the area in which a map exceeds 20 % of its maximum [m2]."""
     return area_above(one.values, one.axis_m, one.axis_m, LEVEL * float(one.values.max()))
 
 
 def as_map(circles: Circles) -> Map:
-    """On a grid of 1 mm, linear between the circles and their angles, 0 beyond the disc."""
+    """Interpolate on a grid of 1 mm, linearly between circles and angles; 0 outside the disc."""
     axis = grid_axis()
     x, y = np.meshgrid(axis, axis, indexing="ij")
     steps = 2.0 * np.pi / circles.values.shape[1] * np.arange(circles.values.shape[1] + 1)
@@ -208,15 +208,15 @@ def as_map(circles: Circles) -> Map:
 
 
 def stm_over_am_area(setting: Setting) -> Answer:
-    """Area under STM over that under AM."""
-    sight = sight_of(setting)
+    """Return the area under STM over that under AM."""
+    probe = probe_of(setting)
 
     def areas(case: Case) -> tuple[float, float]:
-        return area_of(as_map(measured_circles(case, sight))), area_of(measured_map(case, "am_pressure", sight))
+        return area_of(as_map(measured_circles(case, probe))), area_of(measured_map(case, "am_pressure", probe))
 
-    moving, held = areas(case_of(setting))
-    shown = {"STM [cm2]": 1e4 * moving, "AM [cm2]": 1e4 * held}
-    return Answer(moving / held, margin=moving / held - 1.0 - 1e-9, shown=shown)
+    moving, fixed = areas(case_of(setting))
+    shown = {"STM [cm2]": 1e4 * moving, "AM [cm2]": 1e4 * fixed}
+    return Answer(moving / fixed, margin=moving / fixed - 1.0 - 1e-9, shown=shown)
 
 
 def load_ratio(setting: Setting) -> Answer:
@@ -226,8 +226,8 @@ def load_ratio(setting: Setting) -> Answer:
 
 
 def am_lines(setting: Setting) -> Answer:
-    """Lines at 200 and 400 Hz over the last periods, with the pressure modulated."""
-    trace = measured(case_of(setting), "am_pressure", sight_of(setting))
+    """Return lines at 200 and 400 Hz over the last periods, with the pressure modulated."""
+    trace = measured(case_of(setting), "am_pressure", probe_of(setting))
     window = measured_window("last five periods of the stimulus", "am_pressure")
     times, values = within(trace.times_s, trace.values, window)
     first, second = harmonics(times, values, AM_HZ, 2)
@@ -246,7 +246,7 @@ def linear_harmonic(setting: Setting) -> Answer:
 
 
 def circle_line(number: int) -> Compute:
-    """The amplitude of a harmonic of the circle, raw motion, beside the frequency that is given."""
+    """Return the frequency of a harmonic of the circle, with its amplitude in the raw motion."""
 
     def compute(setting: Setting) -> Answer:
         trace = raw(case_of(setting), "stm")
@@ -259,7 +259,7 @@ def circle_line(number: int) -> Compute:
 
 
 def least_rms(setting: Setting) -> Answer:
-    """Of -A (1 + sin), which touches 0 from below, with a peak-to-peak value of 2.19 um."""
+    """Return the rms of -A (1 + sin), whose maximum is 0, with a peak-to-peak value of 2.19 um."""
     times = np.arange(4000) / 80e3
     wave = -0.5 * 2.19 * (1.0 + np.sin(2.0 * np.pi * AM_HZ * times))
     return Answer(rms(times, wave), 0.0, note="so the printed rms had its mean taken off, at least in part")
@@ -301,7 +301,7 @@ ANSWERS: dict[str, Compute] = {
 
 
 def with_case(answer: Callable[[Case], Answer], change: Callable[[Case], Case], *, full: bool = False) -> Compute:
-    """full: computed in full runs alone, as it takes minutes"""
+    """full: compute only in full runs, because it takes minutes"""
 
     def compute(setting: Setting) -> Answer:
         if full and setting.quick:
@@ -322,12 +322,12 @@ def _lossless(case: Case) -> Case:
 
 
 def _far_am(case: Case) -> Answer:
-    value = far_over_middle(measured_map(case, "am_pressure", Sight()))
+    value = far_over_middle(measured_map(case, "am_pressure", Probe()))
     return Answer(value, margin=0.5 - value)
 
 
 def _far_stm(case: Case) -> Answer:
-    value = far_over_circle(measured_circles(case, Sight()))
+    value = far_over_circle(measured_circles(case, Probe()))
     return Answer(value, margin=1.0 - value)
 
 
@@ -336,7 +336,7 @@ def _wide(case: Case) -> Case:
 
 
 def _loudest(case: Case) -> Answer:
-    return Answer(1e3 * loudest_of(measured_circles(case, Sight())))
+    return Answer(1e3 * loudest_of(measured_circles(case, Probe())))
 
 
 WIDE = "the spot on a circle of 25 mm in place of 10"

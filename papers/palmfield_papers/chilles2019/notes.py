@@ -1,4 +1,4 @@
-"""What stands below the tables: the table of chains, what the paper leaves open computed both ways, a hypothesis."""
+"""Write the notes below the tables: chains, results for ambiguous inputs, hypotheses."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from palmfield_papers.entries import book
 from palmfield_papers.verdicts import distance_in_tolerances
 
 WIDE_M = 0.01446
-"""FWHM of the load that fits the paper's FEM: found by looking at answers, before this gallery, so a hypothesis."""
+"""FWHM of the load that fits the FEM of the paper. It was found from answers before this gallery: a hypothesis."""
 FEM = ("C15a", "C15c", "C15d", "C19b", "C19d", "C20b", "C20d")
 LABELS = ("steady", "peak", "diameter [mm]", "AM p-p", "AM rms", "STM p-p", "STM rms")
 MEASURED_LABELS = ("steady", "peak", "AM p-p", "AM rms", "STM p-p", "STM rms")
@@ -24,7 +24,7 @@ EARLIER_S = 0.1
 
 
 def fem_numbers(case: Case) -> dict[str, float]:
-    """The seven numbers of the FEM column under the base readings, in um, the diameter in mm."""
+    """Return the seven numbers of the FEM column under the base readings, in um, the diameter in mm."""
     step = raw(case, "step")
     diameter = diameter_of(round_map(*raw_profile(case, "step", "rms of the displacement")))
     found = {"C15a": steady_of(step), "C15c": peak_of(step), "C15d": diameter}
@@ -49,7 +49,7 @@ def _within(found: dict[str, float]) -> int:
 
 
 def cases(setting: Setting) -> dict[str, Case]:
-    """What the text leaves open or prints twice, each changed by itself."""
+    """Return cases for inputs that the text leaves open or prints twice, each changed separately."""
     base, sound = case_of(setting), focal_sound()
     return {
         "base: 12 Pa, 10.3 mm, tau 171 µs, nu 0.495 beside the relaxed modulus": base,
@@ -88,7 +88,7 @@ def chain_lines(setting: Setting) -> list[str]:
     best = sorted(found, key=lambda one: -len(one.within))
     whole = fully(found)
     values = printed()
-    told = (
+    text = (
         f"{len(whole)} of {len(found)} chains bring all six within their tolerances"
         if whole
         else f"None of {len(found)} chains brings all six within its tolerance; the best bring {len(best[0].within)}"
@@ -97,7 +97,7 @@ def chain_lines(setting: Setting) -> list[str]:
         "### Chains from the beam to the measured column", "",
         "Order and phase of the 50 Hz high-pass, a straight line taken off the displacement (drift), the load at "
         "12 Pa or with the gain of the step's peak, azimuth of the head, window of rms and peak to peak. "
-        f"{told}. With the gain the peak agrees by itself. The base readings are order 2, causal, no drift, 0-256 ms; "
+        f"{text}. With the gain the peak agrees by itself. The base readings are order 2, causal, no drift, 0-256 ms; "
         "a chain that is picked from this table counts for nothing.", "",
         "| order | phase | drift off | level | azimuth | window | " + " | ".join(MEASURED_LABELS) + " | within |",
         "|" + "---|" * (len(MEASURED_LABELS) + 7),
@@ -108,7 +108,7 @@ def chain_lines(setting: Setting) -> list[str]:
 
 
 def _offset(case: Case) -> list[str]:
-    """What a filter without delay makes of a record that begins at the trigger."""
+    """Describe the effect of a zero-phase filter on a record that begins at the trigger."""
     shown = []
     for order in ORDERS:
         late, early = both_ways(case, order, 0.0), both_ways(case, order, EARLIER_S)

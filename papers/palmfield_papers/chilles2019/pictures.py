@@ -1,4 +1,4 @@
-"""Figures 2 to 5 of Chilles et al. 2019 from our data, and what base, sides and chains change."""
+"""Draw Figures 2 to 5 of Chilles et al. 2019 from our data, and the effects of base, sides and chains."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from palmfield_papers.chilles2019.setup import (
     RADIUS_M,
     SIDES,
     STIMULUS_S,
-    Sight,
+    Probe,
     Stimulus,
     case_of,
 )
@@ -58,7 +58,7 @@ def step(setting: Setting) -> Figure:
     left, right = figure.subplots(1, 2)
     _line(left, raw(case, "step"), "raw motion", COLOURS[0])
     for order, colour in zip(ORDERS, ("#5eada5", COLOURS[1], "#0a4f4a"), strict=True):
-        trace = measured(case, "step", Sight(order=order))
+        trace = measured(case, "step", Probe(order=order))
         _line(left, trace, f"vibrometer, high-pass of order {order}", colour)
         _spectrum(right, trace, f"order {order}", colour)
     _spectrum(right, raw(case, "step"), "raw, 200 ms", COLOURS[0])
@@ -105,7 +105,7 @@ def circle(setting: Setting) -> Figure:
 
 def _two_columns(setting: Setting, fem: Stimulus, seen: Stimulus, title: str, span: tuple[float, float]) -> Figure:
     case = case_of(setting)
-    simulated, vibrated = raw(case, fem), gained(case, seen, Sight())
+    simulated, vibrated = raw(case, fem), gained(case, seen, Probe())
     figure = Figure(figsize=(9.0, 5.2), layout="constrained")
     panels = figure.subplots(2, 2)
     load = ", load modulated" if fem == "am_load" else ""
@@ -127,14 +127,14 @@ def _two_columns(setting: Setting, fem: Stimulus, seen: Stimulus, title: str, sp
 
 
 def maps(setting: Setting) -> Figure:
-    case, sight = case_of(setting), Sight()
+    case, probe = case_of(setting), Probe()
     figure = Figure(figsize=(10.0, 3.4), layout="constrained")
     panels = figure.subplots(1, 3, sharey=True)
     axis = 1e3 * grid_axis()
     titles = ("Held", "Modulated at 200 Hz", "On a circle at 70 Hz")
     shown: list[Float] = [
-        measured_map(case, "step", sight).values, measured_map(case, "am_pressure", sight).values,
-        _on_grid(measured_circles(case, sight)),
+        measured_map(case, "step", probe).values, measured_map(case, "am_pressure", probe).values,
+        _on_grid(measured_circles(case, probe)),
     ]  # fmt: skip
     for panel, values, title in zip(panels, shown, titles, strict=True):
         inside = np.hypot(*np.meshgrid(axis, axis, indexing="ij")) <= 1e3 * RADIUS_M
@@ -153,7 +153,7 @@ def maps(setting: Setting) -> Figure:
 
 
 def _on_grid(circles: Circles) -> Float:
-    """Circles on the grid of the other maps, linear in radius and angle; beyond the last circle its value."""
+    """Interpolate circles on the grid of the other maps, linearly in radius and angle; constant beyond the last."""
     axis = grid_axis()
     x, y = np.meshgrid(axis, axis, indexing="ij")
     radii = np.concatenate([[0.0], circles.radii_m])

@@ -1,4 +1,4 @@
-"""Motions of the slab's face per pascal, each solved once and kept by what it depends on."""
+"""Compute motions of the face of the slab per pascal, cached by their inputs."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -22,19 +22,19 @@ from palmfield_papers.chilles2019.setup import (
 )
 
 RATE_HZ, ENDLESS_RATE_HZ, JUMP_RATE_HZ, JUMP_S = 32e3, 8e3, 128e3, 2e-3
-"""Of the times at which traces are asked, and of those near the beginning and the end of the stimulus. Pressure waves,
-which the elastic bulk hardly damps, come back to the middle from a rim, and not on the endless slab."""
+"""Rates of times of traces, and of times near beginning and end of the stimulus. Pressure waves,
+which are hardly damped, return to the centre from a rim, but not on the infinite slab."""
 QUICK_CIRCLE_RATE_HZ = 16e3
-"""Of traces under the moving spot in quick runs."""
+"""Rate of traces under the moving spot in quick runs."""
 MAP_RATE_HZ = 8e3
 LOSSLESS: dict[str, Any] = {"degree": 5}
-"""Resolution where the characteristic time is as printed: without losses all rings, and finer runs take many minutes.
-What that costs stands in the error."""
+"""Resolution for the printed characteristic time: without losses all modes ring, and finer runs take many minutes. The
+error includes its effect."""
 LOSSLESS_ACCURACY, LOSSLESS_QUICK = 0.02, 0.1
 ANGLES = 12
-"""On each circle, the first on the x axis: the rms changes slowly round it."""
+"""Number of points on each circle, the first on the x axis; the rms varies slowly with angle."""
 GROUP = 241
-"""Points of a disc that are solved for together: more take the solver's memory beyond 4 GB."""
+"""Largest number of points of a disc that are solved together; more need over 4 GB of memory."""
 OBSERVERS = {"step": (0.0, 0.0), "stm": (CIRCLE_RADIUS_M, 0.0)}
 
 
@@ -47,7 +47,7 @@ class Run:
 
 
 def trace_times(case: Case, stimulus: Stimulus) -> Float:
-    """Times [s] of a trace, denser round the load's jumps, where velocities jump too."""
+    """Return the times of a trace [s], denser near jumps of the load, where velocities jump too."""
     rate = ENDLESS_RATE_HZ if case.side == "infinite" else RATE_HZ
     if case.quick and stimulus == "stm":
         rate = min(rate, QUICK_CIRCLE_RATE_HZ)
@@ -62,10 +62,10 @@ def map_times() -> Float:
 
 
 def by_differences(motion: Motion) -> Motion:
-    """Velocities as central differences of the displacements, at even times.
+    """Replace velocities by central differences of displacements, at evenly spaced times.
 
-    The solver's own ring on at kilohertz after a jump of the load, which the times of a map don't resolve: integrated,
-    they would drift. Sums of differences don't.
+    Velocities of the solver contain oscillations at kilohertz after a jump of the load, which the times of a map do
+    not resolve. Their integral would drift; sums of differences do not.
     """
     return replace(motion, velocity_m_s=np.gradient(motion.displacement_m, motion.times_s, axis=0))
 
@@ -76,7 +76,7 @@ def _solved(case: Case, stimulus: Stimulus, times_s: Float, at_m: Float, accurac
     pinned = LOSSLESS if lossless else {}
     if lossless:
         accuracy = max(accuracy, LOSSLESS_QUICK if case.quick else LOSSLESS_ACCURACY)
-    # Time 0 is rest, which no solver needs to be asked for
+    # Time 0 is rest, which needs no solution
     motion = solve(
         slab_of(case), load_of(stimulus, case.fwhm_m, case.circle_m), times_s[1:], at_m,
         solver=solver, accuracy=accuracy, device=case.device, **pinned,
@@ -91,7 +91,7 @@ def _solved(case: Case, stimulus: Stimulus, times_s: Float, at_m: Float, accurac
 
 
 def at_observer(case: Case, stimulus: Stimulus) -> Run:
-    """The point that the paper's traces are of: the middle, or (10 mm, 0) under the moving spot."""
+    """Return the motion at the point of the paper's traces: the centre, or (10 mm, 0) under the moving spot."""
     return _at_observer(replace(case, level_Pa=1.0), stimulus)
 
 
@@ -103,19 +103,19 @@ def _at_observer(case: Case, stimulus: Stimulus) -> Run:
 
 
 def along_radius(case: Case, stimulus: Stimulus) -> Run:
-    """Points of the x axis a millimetre apart under a spot in the middle, from the middle to the rim."""
+    """Return the motion of points on the x axis, 1 mm apart from centre to rim, under a spot in the centre."""
     return _along_radius(replace(case, level_Pa=1.0), stimulus)
 
 
 @cache
 def _along_radius(case: Case, stimulus: Stimulus) -> Run:
-    held = case.side == "fixed"
-    radii = np.arange(round(1e3 * RADIUS_M) + (0 if held else 1)) * 1e-3
+    fixed = case.side == "fixed"
+    radii = np.arange(round(1e3 * RADIUS_M) + (0 if fixed else 1)) * 1e-3
     at = np.column_stack([radii, np.zeros_like(radii)])
-    # An error is the worst of all points, and near a held rim next to nothing moves: with twice that of a quick run the
-    # map within 30 mm changes by 0.1 % for a fifth of the time
+    # The error is that of the worst point, and near a fixed rim motion is small: with twice the error of a quick
+    # run the map within 30 mm changes by 0.1 % for a fifth of the time
     motion = _solved(case, stimulus, map_times(), at, (4.0 if case.quick else 2.0) * case.accuracy)
-    if held:
+    if fixed:
         rim = np.zeros((len(motion.times_s), 1, 3))
         motion = replace(
             motion,
@@ -127,13 +127,13 @@ def _along_radius(case: Case, stimulus: Stimulus) -> Run:
 
 
 def on_circles(case: Case) -> Run:
-    """The middle, then circles under the moving spot, ANGLES points on each of `circle_radii`."""
+    """Return the motion of the centre and of circles under the moving spot, ANGLES points on each of `circle_radii`."""
     return _on_circles(replace(case, level_Pa=1.0))
 
 
 def circle_radii(quick: bool) -> Float:
-    """Radii [m] from near the middle to near the rim, finer where the spot runs; 21 mm is the first beyond 20 mm of a
-    grid of 1 mm, where row C21c looks for the largest."""
+    """Return radii [m] from near the centre to near the rim, finer near the path; 21 mm is the first beyond 20 mm of a
+    grid of 1 mm, where row C21c searches the maximum."""
     path = (
         np.arange(2.0, 21.0, 2.0) if quick else np.concatenate([[2.0, 4.0], np.arange(5.0, 15.5), [16.0, 18.0, 20.0]])
     )

@@ -1,4 +1,4 @@
-"""What the paper's slab, load and vibrometer are under a reading and a control."""
+"""Set up slab, load and vibrometer of the paper under a reading and a control."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -19,11 +19,11 @@ LEVEL_PA = 12.0
 AM_HZ, CIRCLE_HZ, CIRCLE_RADIUS_M = 200.0, 70.0, 0.01
 STIMULUS_S, RECORD_S, RAMP_S = 0.2, 0.256, 1e-3
 OFF_S = 1e-9
-"""In which a load goes to 0 when the stimulus ends."""
+"""Time in which a load decreases to 0 at the end of the stimulus [s]."""
 LOAD_RATE_HZ = 32e3
-"""Of the corners of a load's course: between them it is linear, which cuts 0.1 % off a sine of 400 Hz."""
+"""Rate of samples of a load, which is linear between them; this reduces a sine of 400 Hz by 0.1 %."""
 CIRCLE_RATE_HZ = 8e3
-"""The same of the circle, whose sides are 0.004 mm off it; solvers cut them further."""
+"""Rate of samples of the circle, whose chords deviate by 0.004 mm; solvers subdivide them."""
 
 Stimulus = Literal["step", "ramp", "am_load", "am_pressure", "stm"]
 MaterialName = Literal["given", "half", "soft", "stiff", "tau_printed", "bulk_corrected", "massless"]
@@ -35,11 +35,11 @@ STARTS: dict[str, Stimulus] = {"pure step": "step", "raised-cosine ramp of 1 ms"
 
 @dataclass(frozen=True)
 class Case:
-    """One configuration: a slab, a spot, its peak pressure. Hashable, so that runs are kept by it.
+    """One configuration: a slab, a spot, its peak pressure. Hashable, so that runs are cached by it.
 
-    side: a value of reading chilles_sides; level_Pa: which runs don't depend on, as they are linear
-    circle_m: radius on which the spot runs
-    device: of the endless slab's waves; discs are solved on the host
+    side: a value of reading chilles_sides; level_Pa: runs do not depend on it, because they are linear
+    circle_m: radius of the path of the spot
+    device: for waves of the infinite slab; discs are solved on the host
     """
 
     side: str = "fixed"
@@ -54,13 +54,13 @@ class Case:
 
     @property
     def accuracy(self) -> float:
-        """Relative, asked of the solver."""
+        """Target relative accuracy of the solver."""
         return 0.02 if self.quick else 0.005
 
 
 @dataclass(frozen=True)
-class Sight:
-    """How the vibrometer looks and filters. highpass: whether there is its filter of 50 Hz at all."""
+class Probe:
+    """Beam and filter of the vibrometer. highpass: whether the 50 Hz filter is used."""
 
     incidence_deg: float = 45.0
     azimuth_deg: float = 0.0
@@ -86,39 +86,39 @@ LINES_OF_SIGHT = {
 
 
 def reading(setting: Setting, axis: str) -> str:
-    """The value of an axis, its base where the number does not name it."""
+    """Return the value of an axis; its base value if the number does not depend on it."""
     return dict(setting.readings).get(axis) or book().axes[axis][0]
 
 
 def at_base(setting: Setting) -> bool:
-    """Whether all axes have their base values and no control acts."""
+    """Return whether all axes have their base values and no control is active."""
     return not setting.control and all(value == book().axes[axis][0] for axis, value in setting.readings)
 
 
 def case_of(setting: Setting) -> Case:
-    """The configuration that readings and control ask for. Raises KeyError for a control that this paper has not."""
+    """Return the configuration under readings and control. Raises KeyError for a control that this paper lacks."""
     case = Case(side=reading(setting, "chilles_sides"), quick=setting.quick, device=setting.device)
     return replace(case, **CONTROLS[setting.control]) if setting.control else case
 
 
-def sight_of(setting: Setting) -> Sight:
+def probe_of(setting: Setting) -> Probe:
     azimuth, distance = LINES_OF_SIGHT[reading(setting, "chilles_line_of_sight")]
-    return Sight(azimuth_deg=azimuth, distance_m=distance, order=int(reading(setting, "chilles_filter_order")))
+    return Probe(azimuth_deg=azimuth, distance_m=distance, order=int(reading(setting, "chilles_filter_order")))
 
 
 def ends(case: Case) -> tuple[Case, Case]:
-    """The same with the moduli at one standard deviation below and above, 50 % (row C22)."""
+    """Return the cases with moduli one standard deviation (50 %) below and above (row C22)."""
     return replace(case, material="soft"), replace(case, material="stiff")
 
 
 def material_of(name: MaterialName) -> Material:
-    """half, soft and stiff keep the bulk modulus, which says how little volume changes, and the characteristic time."""
+    """Return a material; half, soft and stiff keep the bulk modulus and the characteristic time."""
     if name == "tau_printed":
         return ecoflex_time_as_printed()
     if name == "bulk_corrected":
         return ecoflex_bulk_corrected()
     if name == "massless":
-        # Without inertia every moment is a state of rest, but for the relaxation
+        # Without inertia every moment is static, except for relaxation
         return replace(preset(SILICONE), density_kg_m3=1e-3 * preset(SILICONE).density_kg_m3)
     if name == "half":
         return scaled(preset(SILICONE), 0.5, f"{SILICONE}, moduli halved")
@@ -138,7 +138,7 @@ def slab_of(case: Case) -> Slab:
 
 
 def course(stimulus: Stimulus, times_s: Float) -> Float:
-    """Pressure over its peak while the stimulus is on, shape (t,)."""
+    """Return pressure over peak pressure while the stimulus is on, shape (t,)."""
     if stimulus == "ramp":
         return 0.5 - 0.5 * np.cos(np.pi * np.clip(times_s / RAMP_S, 0.0, 1.0))
     if stimulus in ("am_load", "am_pressure"):
@@ -148,7 +148,7 @@ def course(stimulus: Stimulus, times_s: Float) -> Float:
 
 
 def load_of(stimulus: Stimulus, fwhm_m: float, circle_m: float = CIRCLE_RADIUS_M) -> Spot:
-    """The spot with a peak of 1 Pa, on for 200 ms from time 0."""
+    """Return the spot with a peak of 1 Pa, active for 200 ms from time 0."""
     if stimulus == "step":
         return Spot(fwhm_m, np.array([0.0, STIMULUS_S, STIMULUS_S + OFF_S]), np.array([1.0, 1.0, 0.0]))
     rate = CIRCLE_RATE_HZ if stimulus == "stm" else LOAD_RATE_HZ

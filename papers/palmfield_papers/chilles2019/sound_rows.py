@@ -1,4 +1,4 @@
-"""Rows C2, C5, C8 to C10: the array, the radiation pressure, and what 12 Pa mean."""
+"""Rows C2, C5, C8 to C10: the array, the radiation pressure, and the level of 12 Pa."""
 
 import math
 from functools import cache
@@ -16,7 +16,7 @@ from palmfield_papers.chilles2019.as_printed import incident_lagrangian_as_print
 from palmfield_papers.chilles2019.setup import LEVEL_PA
 
 RHO, SPEED = 1.225, 343.0
-"""Their air, section IV.A."""
+"""Density and sound speed of air in section IV.A."""
 FOCUS_M = (0.0, 0.0, 0.2)
 REFERENCE_PA = 20e-6
 HZ = 40e3
@@ -24,7 +24,7 @@ PROFILE_M = 0.03
 
 
 class Focus(NamedTuple):
-    """Sound of the UHEV1 over the plane of its focus. radii_m: along x; arp_Pa: at the layout's own p0; p0_Pa_m"""
+    """Sound of the UHEV1 in the plane of its focus. radii_m: along x; arp_Pa: for p0_Pa_m, the p0 of the layout"""
 
     radii_m: Float
     arp_Pa: Float
@@ -34,7 +34,7 @@ class Focus(NamedTuple):
 
 @cache
 def focal_sound() -> Focus:
-    """Radiation pressure along x through the focus, of pistons in a baffle, at full drive, in default air."""
+    """Return the radiation pressure along x through the focus: pistons in a baffle, full drive, default air."""
     array, air = layout("uhev1"), Air()
     radii = np.linspace(0.0, PROFILE_M, 301)
     points = np.column_stack([radii, np.zeros_like(radii), np.full_like(radii, FOCUS_M[2])])
@@ -47,7 +47,7 @@ def focal_sound() -> Focus:
 
 
 def fwhm_m() -> float:
-    """Full width at half maximum of that radiation pressure [m]."""
+    """Return the full width at half maximum of that radiation pressure [m]."""
     radii, push = focal_sound()[:2]
     half = 0.5 * push[0]
     first = int(np.argmax(push < half))
@@ -55,13 +55,13 @@ def fwhm_m() -> float:
 
 
 def p0_for(level_Pa: float) -> float:
-    """Amplitude of a transducer [Pa m] whose focus presses with a level [Pa]; the pressure goes with its square."""
+    """Return the p0 [Pa m] for a radiation pressure in the focus [Pa], which is proportional to its square."""
     found = focal_sound()
     return found.p0_Pa_m * math.sqrt(level_Pa / found.arp_Pa[0])
 
 
 def plane(points: Float, there: complex, back: complex, air: Air) -> Field:
-    """A plane wave along z and one that comes back, of these amplitudes [Pa]."""
+    """Return the field of a plane wave along z and a reflected one with these amplitudes [Pa]."""
     k = 2.0 * math.pi * HZ / sound_speed(air)
     ahead, behind = there * np.exp(1j * k * points), back * np.exp(-1j * k * points)
     slope = np.zeros((len(points), 3), np.complex64)
@@ -70,7 +70,7 @@ def plane(points: Float, there: complex, back: complex, air: Air) -> Field:
 
 
 def travelling(setting: Setting) -> Answer:
-    """Their form on a plane wave that travels, over its first term."""
+    """Return their formula for a travelling plane wave, over its first term."""
     air = Air()
     unit = 1.0 / (4.0 * density(air) * sound_speed(air) ** 2)
     values = incident_lagrangian_as_printed(plane(np.linspace(0.0, 0.01, 50), 1.0, 0.0, air), air, HZ) / unit
@@ -79,7 +79,7 @@ def travelling(setting: Setting) -> Answer:
 
 
 def at_wall(setting: Setting) -> Answer:
-    """Their form on the total field at a rigid wall, over <p_i^2>/(rho c^2)."""
+    """Return their formula for the total field at a rigid wall, over <p_i^2>/(rho c^2)."""
     air = Air()
     unit = 1.0 / (2.0 * density(air) * sound_speed(air) ** 2)
     value = incident_lagrangian_as_printed(plane(np.zeros(1), 1.0, 1.0, air), air, HZ)[0] / unit
@@ -105,7 +105,7 @@ def total_over_incident(setting: Setting) -> Answer:
 
 
 def level(setting: Setting) -> Answer:
-    """Incident level whose plane wave presses with 12 Pa on a rigid wall, 2 <p_i^2>/(rho c^2), in their air."""
+    """Return the level of a plane wave with 12 Pa on a rigid wall, 2 <p_i^2>/(rho c^2), in their air."""
     rms = math.sqrt(0.5 * LEVEL_PA * RHO * SPEED**2)
     found = focal_sound()
     at_focus = found.peak_Pa * math.sqrt(0.5 * LEVEL_PA / found.arp_Pa[0])

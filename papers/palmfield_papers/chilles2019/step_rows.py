@@ -1,4 +1,4 @@
-"""Rows C14 to C16: the focus that is held."""
+"""Rows C14 to C16: the stationary focus."""
 
 from collections.abc import Callable
 
@@ -10,13 +10,13 @@ from palmfield_papers.chilles2019.setup import (
     STARTS,
     STIMULUS_S,
     Case,
-    Sight,
+    Probe,
     Stimulus,
     at_base,
     case_of,
     ends,
+    probe_of,
     reading,
-    sight_of,
 )
 from palmfield_papers.chilles2019.traces import Trace, measured, raw
 
@@ -28,7 +28,7 @@ DOMINANT_HZ = (100.0, 500.0)
 
 
 def banded(setting: Setting, case: Case, value: Callable[[Case], float]) -> tuple[float, float] | None:
-    """Least and largest value with the moduli at their ends: of all readings, or, quick, of the base ones alone."""
+    """Return least and largest value with moduli at their ends; in quick runs only for base readings."""
     if setting.control or (setting.quick and not at_base(setting)):
         return None
     found = [value(one) for one in (case, *ends(case))]
@@ -44,22 +44,22 @@ def steady_of(trace: Trace) -> float:
 
 
 def peak_of(trace: Trace) -> float:
-    """The largest magnitude into the slab, negative."""
+    """Return the largest inward displacement, negative."""
     return peak(trace.times_s, trace.values, STEP_RECORD_S, of="negative")[1]
 
 
-def step_peak(case: Case, sight: Sight, start: Stimulus = "step") -> float:
-    """Peak of the step through the vibrometer [um]."""
-    return peak_of(measured(case, start, sight))
+def step_peak(case: Case, probe: Probe, start: Stimulus = "step") -> float:
+    """Return the peak of the step through the vibrometer [um]."""
+    return peak_of(measured(case, start, probe))
 
 
 def traced(number: Callable[[Trace], float], through_vibrometer: bool) -> Compute:
-    """The answer that a number of the step's trace gives."""
+    """Return the answer from a number of the trace of the step."""
 
     def compute(setting: Setting) -> Answer:
         def trace(case: Case) -> Trace:
             start = start_of(setting)
-            return measured(case, start, sight_of(setting)) if through_vibrometer else raw(case, start)
+            return measured(case, start, probe_of(setting)) if through_vibrometer else raw(case, start)
 
         case = case_of(setting)
         found = trace(case)
@@ -73,11 +73,11 @@ _NOTE = "error: the solver's difference from a finer run, and the vibrometer's s
 
 
 def settling(through_vibrometer: bool) -> Compute:
-    """Time until the trace stays in a band about the steady value, under each band of the metric."""
+    """Return the time until the trace stays in a band about the steady value, for each band of the metric."""
 
     def compute(setting: Setting) -> Answer:
         case, start = case_of(setting), start_of(setting)
-        trace = measured(case, start, sight_of(setting)) if through_vibrometer else raw(case, start)
+        trace = measured(case, start, probe_of(setting)) if through_vibrometer else raw(case, start)
         steady = steady_of(trace)
         shown = {}
         for band in BANDS:
@@ -100,7 +100,7 @@ def diameter_of(one: Map) -> float:
 
 
 def diameter_error(one: Map) -> float:
-    """By how much the diameter [mm] moves when the map errs, at the level and at the peak."""
+    """Return the change of the diameter [mm] due to errors of the map at the level and at the peak."""
     more, less = (
         1e3 * spot_diameter(one.values, one.axis_m, one.axis_m, LEVEL * (1.0 + sign * 2.0 * one.error))
         for sign in (1, -1)
@@ -109,12 +109,12 @@ def diameter_error(one: Map) -> float:
 
 
 def diameter(through_vibrometer: bool) -> Compute:
-    """Where the map of the step exceeds 20 % of its peak."""
+    """Return the diameter in which the map of the step exceeds 20 % of its peak."""
 
     def compute(setting: Setting) -> Answer:
         def seen(case: Case) -> Map:
             if through_vibrometer:
-                return measured_map(case, "step", sight_of(setting))
+                return measured_map(case, "step", probe_of(setting))
             return round_map(*raw_profile(case, start_of(setting), reading(setting, "chilles_diameter_map")))
 
         case = case_of(setting)
@@ -134,10 +134,10 @@ def diameter(through_vibrometer: bool) -> Compute:
 
 
 def dominant(setting: Setting) -> Answer:
-    """The largest line of the step's spectrum at the middle, through the vibrometer."""
+    """Return the largest line of the step's spectrum at the middle, through the vibrometer."""
 
     def line(case: Case) -> float:
-        trace = measured(case, "step", sight_of(setting))
+        trace = measured(case, "step", probe_of(setting))
         return strongest_line(trace.times_s, trace.values, LINES_HZ)[0]
 
     case = case_of(setting)
@@ -153,8 +153,8 @@ def carrier(setting: Setting) -> Answer:
 
 def filtered_steady(setting: Setting) -> Answer:
     case = case_of(setting)
-    trace = measured(case, "step", sight_of(setting))
-    plain = measured(case, "step", Sight(highpass=False))
+    trace = measured(case, "step", probe_of(setting))
+    plain = measured(case, "step", Probe(highpass=False))
     return Answer(
         steady_of(trace),
         trace.error,
@@ -164,7 +164,7 @@ def filtered_steady(setting: Setting) -> Answer:
 
 
 def printed_diameter(setting: Setting) -> Answer:
-    found = measured_map(case_of(setting), "step", sight_of(setting))
+    found = measured_map(case_of(setting), "step", probe_of(setting))
     return Answer(diameter_of(found), diameter_error(found), note="Table I prints 25.2 mm, the text 25.5 mm")
 
 

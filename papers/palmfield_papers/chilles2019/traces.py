@@ -1,4 +1,4 @@
-"""Displacement over time at the observer, raw or through the vibrometer, and the windows of the paper's numbers."""
+"""Compute displacement over time at the observer, raw or through the vibrometer, and windows of the paper's numbers."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -17,7 +17,7 @@ from palmfield_papers.chilles2019.setup import (
     RECORD_S,
     STIMULUS_S,
     Case,
-    Sight,
+    Probe,
     Stimulus,
 )
 
@@ -40,61 +40,61 @@ class Trace:
         return Trace(self.times_s[kept], self.values[kept], self.error)
 
 
-def vibrometer(sight: Sight, rate_Hz: float = SAMPLING_HZ) -> Vibrometer:
+def vibrometer(probe: Probe, rate_Hz: float = SAMPLING_HZ) -> Vibrometer:
     """Section III.C and D: 45 degrees, high-pass of 50 Hz on the velocity, integrated, divided by sin 45 degrees."""
     return Vibrometer(
-        incidence_deg=sight.incidence_deg,
-        azimuth_deg=sight.azimuth_deg,
-        distance_m=sight.distance_m,
+        incidence_deg=probe.incidence_deg,
+        azimuth_deg=probe.azimuth_deg,
+        distance_m=probe.distance_m,
         sampling_rate_Hz=rate_Hz,
         duration_s=RECORD_S,
-        highpass_Hz=CUTOFF_HZ if sight.highpass else None,
-        highpass_order=sight.order,
-        phase=sight.phase,
+        highpass_Hz=CUTOFF_HZ if probe.highpass else None,
+        highpass_order=probe.order,
+        phase=probe.phase,
     )
 
 
 def raw(case: Case, stimulus: Stimulus) -> Trace:
-    """The vertical displacement itself, over the 200 ms of the paper's simulation."""
+    """Return the vertical displacement over the 200 ms of the simulation in the paper."""
     run = at_observer(case, stimulus)
     times = np.arange(round(STIMULUS_S * SAMPLING_HZ) + 1) / SAMPLING_HZ
     values = UM * case.level_Pa * sampled(run.motion.times_s, run.motion.displacement_m[:, 0, 2], times)
     return Trace(times, values, run.error * float(np.abs(values).max()))
 
 
-def measured(case: Case, stimulus: Stimulus, sight: Sight) -> Trace:
-    """What the vibrometer records at the observer, over 256 ms."""
-    times, values, error = _recorded(replace(case, level_Pa=1.0), stimulus, sight)
+def measured(case: Case, stimulus: Stimulus, probe: Probe) -> Trace:
+    """Return the vibrometer reading at the observer, over 256 ms."""
+    times, values, error = _recorded(replace(case, level_Pa=1.0), stimulus, probe)
     scale = UM * case.level_Pa
     return Trace(times, scale * values, scale * error)
 
 
 @cache
-def _recorded(case: Case, stimulus: Stimulus, sight: Sight) -> tuple[Float, Float, float]:
-    """Times, reading per pascal [m], and its error: the solver's, and what integrating sampled velocities adds."""
-    run, settings = at_observer(case, stimulus), vibrometer(sight)
+def _recorded(case: Case, stimulus: Stimulus, probe: Probe) -> tuple[Float, Float, float]:
+    """Return times, reading per pascal [m], and its error from solver and integration of sampled velocities."""
+    run, settings = at_observer(case, stimulus), vibrometer(probe)
     record = vibrometer_record(run.motion, settings)
     times, values = record["time"].values, record.values[:, 0]
-    # Filter and integral commute, so that filtering the displacement is a second way to the same
+    # Filter and integral commute, so filtering the displacement gives the same result
     beams = lines_of_sight(run.motion.points, settings)
     moved = sampled(run.motion.times_s, along_beam(run.motion.displacement_m, beams, settings), times)[:, 0]
     error = run.error * float(np.abs(moved).max())
-    if sight.phase == "causal":
-        if sight.highpass:
-            moved = highpass(moved, SAMPLING_HZ, CUTOFF_HZ, sight.order)
+    if probe.phase == "causal":
+        if probe.highpass:
+            moved = highpass(moved, SAMPLING_HZ, CUTOFF_HZ, probe.order)
         error += float(np.abs(values - moved).max())
     return times, values, error
 
 
 @cache
 def fem_window(name: str, stimulus: Stimulus) -> Window:
-    """A value of reading chilles_window_fem as times [s]."""
+    """Return a value of reading chilles_window_fem as times [s]."""
     return None if name == "0-200 ms" else _last(stimulus)
 
 
 @cache
 def measured_window(name: str, stimulus: Stimulus) -> Window:
-    """A value of reading chilles_window as times [s]."""
+    """Return a value of reading chilles_window as times [s]."""
     if name == "0-256 ms":
         return None
     return (0.0, STIMULUS_S) if name == "0-200 ms" else _last(stimulus)

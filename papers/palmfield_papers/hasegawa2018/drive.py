@@ -1,4 +1,4 @@
-"""Rows H2 to H12 and H18: from a wanted radiation pressure by duty cycles to the pressure in the focus."""
+"""Rows H2 to H12 and H18: from a target radiation pressure through duty cycles to the pressure in the focus."""
 
 import math
 from dataclasses import dataclass
@@ -23,20 +23,20 @@ from palmfield_papers.hasegawa2018.units import FORCE_DEPTH_M, ROOM, Units, arra
 FREQUENCIES_HZ = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0, 500.0, 1000.0)
 DEVICE_EXPONENT = 1.5
 PHASES_DEG = (0.0, 45.0, 90.0)
-"""Of the sine when a packet goes out: at 1000 Hz there are two packets a period, and which of it they meet counts."""
+"""Phases of the sine when a packet is sent: at 1000 Hz there are two packets per period, so the phase matters."""
 SETTLED_S = 0.05
-"""After which the resonators have forgotten how the drive began."""
+"""Time after which transients of the resonators have decayed [s]."""
 CLOCK_HZ = 25.6e6
 HOP_S = 40e-9
 
 
 @dataclass(frozen=True)
 class Chain:
-    """From packets to the focus. Hashable, so that runs can be kept by it.
+    """Chain from packets to the focus. Hashable, so that runs can be cached.
 
     quality: of the transducers; phase_deg: of the sine at the first packet
-    design: exponent for which duty cycles are made; flight: whether the sound of the four units' transducers takes its
-        time to the focus at 200 mm
+    design: exponent for which duty cycles are computed; flight: whether the flight time from the four units
+        to the focus at 200 mm is included
     """
 
     quality: float = 25.0
@@ -46,14 +46,14 @@ class Chain:
 
 
 def packets(wanted: Float, design: float) -> Float:
-    """Pulse widths in ticks for a radiation pressure relative to the largest, one a packet, shape (k,)."""
+    """Return pulse widths in ticks for a radiation pressure relative to the largest, one per packet, shape (k,)."""
     return widths(np.sqrt(wanted), HASEGAWA_TICKS, design).astype(np.float64)
 
 
 def emitted(packet_widths: Float, quality: float, exponent: float = DEVICE_EXPONENT) -> Complex:
-    """What transducers emit each carrier period, relative to full drive, shape (20 k,).
+    """Return the emission in each carrier period relative to full drive, shape (20 k,).
 
-    Units smooth the duty to the carrier's rate, round it to ticks, and their transducers ring.
+    Units interpolate the duty to the carrier rate and round it to ticks; transducers have a resonance.
     """
     duty = np.rint(HASEGAWA_TICKS * duty_course(packet_widths)) / HASEGAWA_TICKS
     commanded = relative_pressure(duty, exponent)[:, None].astype(complex)
@@ -62,7 +62,7 @@ def emitted(packet_widths: Float, quality: float, exponent: float = DEVICE_EXPON
 
 @cache
 def flights() -> tuple[Float, Float]:
-    """Delays of the four units' sound at the focus in carrier periods, and their weights, which add up to 1."""
+    """Return delays of the sound of four units at the focus in carrier periods, and their weights, of sum 1."""
     array = array_of(Units(4))
     distance = np.linalg.norm(array.positions - [0.0, 0.0, FORCE_DEPTH_M], axis=1)
     weight = 1.0 / distance
@@ -72,7 +72,7 @@ def flights() -> tuple[Float, Float]:
 
 @cache
 def focal_envelope(frequency_Hz: float, chain: Chain) -> Complex:
-    """Envelope in the focus under a sinusoidal radiation pressure, relative to full drive: whole periods."""
+    """Return the envelope in the focus under a sinusoidal radiation pressure, relative to full drive: whole periods."""
     periods = max(1, round(0.2 * frequency_Hz))
     length = round(CARRIER_HZ * periods / frequency_Hz)
     before = math.ceil(SETTLED_S * PACKET_RATE_HZ)
@@ -95,13 +95,13 @@ def rms_pressure_dB(envelope: Complex) -> float:
 
 
 def rms_arp_dB(envelope: Complex) -> float:
-    """Of the part that changes: a microphone shows no steady one."""
+    """Return the level of the varying part; a microphone does not measure the steady part."""
     square = np.abs(envelope) ** 2
     return 20.0 * math.log10(float(np.std(square)))
 
 
 def component_dB(envelope: Complex, frequency_Hz: float) -> float:
-    """Of the radiation pressure at the modulation frequency."""
+    """Return the level of the radiation pressure at the modulation frequency."""
     turns = frequency_Hz / CARRIER_HZ * np.arange(len(envelope))
     return 20.0 * math.log10(2.0 * abs(np.mean(np.abs(envelope) ** 2 * np.exp(-2j * np.pi * turns))))
 
@@ -114,13 +114,13 @@ DEFINITIONS = {
 
 
 def levels_dB(definition: str, chain: Chain) -> Float:
-    """At FREQUENCIES_HZ, shape (f,)."""
+    """Return levels at FREQUENCIES_HZ, shape (f,)."""
     level = DEFINITIONS[definition]
     return np.array([level(focal_envelope(f, chain), f) for f in FREQUENCIES_HZ])
 
 
 def coarser_spread_dB(quality: float, phase_deg: float) -> float:
-    """Of the rms pressure, from every other carrier period alone."""
+    """Return the spread of the rms pressure from every second carrier period."""
     chain = Chain(quality, phase_deg)
     return float(np.ptp([rms_pressure_dB(focal_envelope(f, chain)[::2]) for f in FREQUENCIES_HZ]))
 
@@ -128,7 +128,7 @@ def coarser_spread_dB(quality: float, phase_deg: float) -> float:
 def spread_dB(
     definition: str, quality: float, *, flight: bool = False, phases: tuple[float, ...] = PHASES_DEG
 ) -> float:
-    """Largest less smallest level, of the phase at which it is largest."""
+    """Return the largest minus the smallest level, for the phase with the largest spread."""
     return max(float(np.ptp(levels_dB(definition, Chain(quality, phase, flight=flight)))) for phase in phases)
 
 
@@ -162,16 +162,16 @@ def flatness(setting: Setting) -> Answer:
 
 @cache
 def continuous(frequency_Hz: float, quality: float, count: int = 4096) -> Complex:
-    """Envelope over one period of a wanted (1 + sin)/2 whose amplitude follows at once, behind the resonance."""
+    """Return the envelope over one period for a target (1 + sin)/2 without delay, after the resonance."""
     wanted = 0.5 + 0.5 * np.sin(2.0 * np.pi * np.arange(count) / count)
     lines = np.fft.ifft(np.sqrt(wanted))
-    # e^{-i w t}: line n of the inverse transform is the envelope's part at n f
+    # e^{-i w t}: line n of the inverse transform is the component of the envelope at n f
     response = envelope_response(np.fft.fftfreq(count, 1.0 / (count * frequency_Hz)), Pole(CARRIER_HZ, quality))[:, 0]
     return np.asarray(np.fft.fft(lines * response))
 
 
 def continuous_loss_dB(what: str, quality: float) -> float:
-    """From the lowest to the highest of FREQUENCIES_HZ; what: "pressure" (rms) or "component" (at f)."""
+    """Return the loss over FREQUENCIES_HZ, lowest to highest; what: "pressure" (rms) or "component" (at f)."""
 
     def level(frequency: float) -> float:
         square = np.abs(continuous(frequency, quality)) ** 2
@@ -208,7 +208,7 @@ def ticks_of_a_period(setting: Setting) -> Answer:
 
 
 def first_harmonic(setting: Setting) -> Answer:
-    """Largest distance of the first harmonic of the pulse train from sin(pi d), relative to the largest."""
+    """Return the largest distance of the first harmonic of the pulse train from sin(pi d), relative to the largest."""
     width = np.arange(0, HASEGAWA_TICKS // 2 + 1)
     trains = waveform(np.zeros(len(width), int), width, HASEGAWA_TICKS)
     harmonic = np.abs(np.fft.fft(trains, axis=1)[:, 1])
@@ -229,7 +229,7 @@ def fixed_edge(setting: Setting) -> Answer:
 
 
 def inverse_law(setting: Setting) -> Answer:
-    """Largest distance of sin^2(pi d) from the wanted pressure with the corrected inverse."""
+    """Return the largest distance of sin^2(pi d) from the target pressure with the corrected inverse."""
     wanted = np.linspace(0.0, 1.0, 101)
     found = relative_pressure(duty_cycle(np.sqrt(wanted))) ** 2
     return Answer(float(np.abs(found - wanted).max()), error=1e-12, note="as corrected, sin^2(pi d) less the wanted")
@@ -249,7 +249,7 @@ PRINTED_A1 = {10e6: -4.9939, 2e6: -4.9695}
 
 
 def cut_off(rate_Hz: float) -> Compute:
-    """Of the Butterworth low-pass of order 5 whose first coefficient is the printed one [kHz]."""
+    """Return the cut-off of the Butterworth low-pass of order 5 with the printed first coefficient [kHz]."""
 
     def off(cut: float, which: int, printed: float) -> float:
         return float(butter(5, cut, fs=rate_Hz)[0 if which == 0 else 1][which] - printed)
@@ -269,7 +269,7 @@ def cut_off(rate_Hz: float) -> Compute:
 
 
 def stimulus_peak(setting: Setting) -> Answer:
-    """Largest force of eqs 8 and 9 at beta = 1, over the largest force."""
+    """Return the largest force of eqs 8 and 9 at beta = 1, over the largest force."""
 
     def largest(amplitude: float) -> float:
         times = np.linspace(0.0, 1.0, 20_001)

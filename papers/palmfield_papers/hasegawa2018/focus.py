@@ -35,7 +35,7 @@ from palmfield_papers.hasegawa2018.units import (
 
 JIG_M = 0.012
 DRIFT_PPM, SKEW_S = 20.0, 1e-6
-"""By how much clocks of units that run free differ at most (ours), and how late those in step are (section 3.2)."""
+"""Largest difference of free-running clocks of units (assumed), and delay of synchronised ones (section 3.2)."""
 GRID_M = 1e-3
 THRESHOLD_DB = -34.0
 PRINTED_JIG_N, PRINTED_ALL_N = 20e-3, 40.8e-3
@@ -47,7 +47,7 @@ LINE_M = np.arange(-3e-3, 8.0001e-3, 0.1e-3)
 
 
 def reference_m(setting: Setting, units: Units) -> float:
-    """Depth over whose pressure others are told."""
+    """Return the depth of the reference pressure."""
     reading = value_of(setting, "hasegawa_reference")
     if reading.endswith(" mm"):
         return 1e-3 * float(reading.removesuffix(" mm"))
@@ -60,7 +60,7 @@ def ratio(units: Units, depth_m: float, reference: float, receiver: str = "micro
 
 @cache
 def far_field_error(count: int, depth_m: float, reference: float) -> float:
-    """By how much the pistons' far field changes a ratio, against Rayleigh's integral, relative."""
+    """Return the relative error of a ratio due to the far field of pistons, by Rayleigh's integral."""
     units = Units(count, "piston")
     exact, ours = (ratio(units, depth_m, reference, "point", faces) for faces in (True, False))
     return abs(ours / exact - 1.0)
@@ -85,7 +85,7 @@ def pressure_ratio(count: int, depth_m: float) -> Compute:
 
 
 def lossy_ratio(count: int, depth_m: float, drive: float, far: bool) -> Compute:
-    """The ratio of the carrier's line alone, less what goes into harmonics to the reference and, if far, to both."""
+    """Return the ratio of the carrier minus losses to harmonics up to the reference or, if `far`, up to both depths."""
 
     def compute(setting: Setting) -> Answer:
         units = units_of(setting, count)
@@ -98,7 +98,7 @@ def lossy_ratio(count: int, depth_m: float, drive: float, far: bool) -> Compute:
 
 
 def over_200(count: int, depth_m: float, directivity: str) -> Compute:
-    """A check of ours, at a point."""
+    """Return the answer of a check at a point."""
 
     def compute(setting: Setting) -> Answer:
         units = Units(count, directivity)
@@ -114,7 +114,7 @@ def over_200(count: int, depth_m: float, directivity: str) -> Compute:
 
 
 def halved_depth(setting: Setting) -> Answer:
-    """Of one unit with the table, relative to 200 mm [mm]."""
+    """Return the depth of half the pressure at 200 mm, of one unit with the table [mm]."""
 
     def depth_mm(units: Units, step_m: float, receiver: str = "point") -> float:
         depths = np.arange(0.2, 1.2001, step_m)
@@ -142,7 +142,7 @@ def halved_depth(setting: Setting) -> Answer:
 def force(
     units: Units, edge_m: float, depth_m: float = FORCE_DEPTH_M, device: str = "cpu", focus_m: float | None = None
 ) -> tuple[float, float]:
-    """[metrics.force] at full drive [N], and from places twice as far apart, alpha 2 on the incident field.
+    """Return [metrics.force] at full drive [N], and its value with twice the spacing; alpha 2 on the incident field.
 
     focus_m: depth of the focus, None for that of the plate
     """
@@ -158,7 +158,7 @@ def force(
 
 @cache
 def force_by_default_law(units: Units, edge_m: float) -> float:
-    """By the Lagrangian of the total field on a rigid wall [N]."""
+    """Return the force by the Lagrangian of the total field on a rigid wall [N]."""
     drive, evaluator = drive_of(units, FORCE_DEPTH_M), evaluator_of(units, "cpu")
 
     def arp_at(points: Float, normals: Float) -> Float:
@@ -169,7 +169,7 @@ def force_by_default_law(units: Units, edge_m: float) -> float:
 
 
 def share(units: Units, edge_m: float, device: str = "cpu") -> tuple[float, float]:
-    """Force on the jig over that on the reflector, and its error."""
+    """Return the force on the jig over that on the reflector, and its error."""
     (jig, jig_coarse), (plate, plate_coarse) = (force(units, edge, FORCE_DEPTH_M, device) for edge in (JIG_M, edge_m))
     value = jig / plate
     error = (abs(jig - jig_coarse) / jig + abs(plate - plate_coarse) / plate) / 3.0
@@ -206,7 +206,7 @@ def force_ratio_on(edge: float) -> Compute:
 
 
 def amplitude_of_forces(directivity: str) -> Compute:
-    """p0 with which both printed forces are missed by the same factor, in opposite directions [Pa m]."""
+    """Return the p0 for which both printed forces differ by the same factor, in opposite directions [Pa m]."""
 
     def compute(setting: Setting) -> Answer:
         units = Units(4, directivity)
@@ -240,9 +240,9 @@ def amplitude_of_forces(directivity: str) -> Compute:
 
 @cache
 def peaks_mm(units: Units, rounded: bool, step_m: float = 0.1e-3, delays: int | None = None) -> tuple[float, ...]:
-    """Where the pressure is largest along x for each command of STEPS_M [mm].
+    """Return the position of the largest pressure along x for each command of STEPS_M [mm].
 
-    rounded: in the board's ticks and packets; delays: else to so many of a period
+    rounded: to ticks and packets of the board; delays: number of delays per period otherwise
     """
     board = BOARD.sized(len(array_of(units)))
     line = np.arange(LINE_M[0], LINE_M[-1] + 0.5 * step_m, step_m)
@@ -250,14 +250,14 @@ def peaks_mm(units: Units, rounded: bool, step_m: float = 0.1e-3, delays: int | 
     found = []
     for x in STEPS_M:
         if rounded:
-            told = np.rint(np.array([x, 0.0, FORCE_DEPTH_M]) / board.packet_lsb_m) * board.packet_lsb_m
-            drive = board.focused(told, HASEGAWA_TICKS // 2)
+            placed = np.rint(np.array([x, 0.0, FORCE_DEPTH_M]) / board.packet_lsb_m) * board.packet_lsb_m
+            drive = board.focused(placed, HASEGAWA_TICKS // 2)
         else:
             drive = drive_of(units, FORCE_DEPTH_M, float(x))
             if delays is not None:
                 step = 2.0 * math.pi / delays
                 drive = np.exp(1j * step * np.rint(np.angle(drive) / step))
-        # float64: single precision would move a flat top by a step of the grid
+        # float64, because in single precision a flat maximum may shift by a grid step
         found.append(1e3 * _parabola(line, np.abs(_exactly(units, points, drive))))
     return tuple(found)
 
@@ -287,7 +287,7 @@ def largest_step(setting: Setting) -> Answer:
 
 
 def step_with_delays(delays: int) -> Compute:
-    """The same with delays rounded to so many of a period."""
+    """Return the largest step with delays rounded to `delays` values per period."""
 
     def compute(setting: Setting) -> Answer:
         steps = np.diff(peaks_mm(units_of(setting), False, delays=delays))
@@ -297,7 +297,7 @@ def step_with_delays(delays: int) -> Compute:
 
 
 def reach_without_focusing(setting: Setting) -> Answer:
-    """As `reach`, with the focus left at 200 mm."""
+    """Return `reach` with the focus constant at 200 mm."""
     units = units_of(setting)
     near, far = (force(units, JIG_M, depth, setting.device, FORCE_DEPTH_M)[0] for depth in (FORCE_DEPTH_M, 1.0))
     level = 20.0 * math.log10(far / near)
@@ -330,14 +330,14 @@ def reach(setting: Setting) -> Answer:
 
 @cache
 def _of_units(units: Units) -> Complex:
-    """Each unit's pressure at the focus of all [Pa]."""
+    """Return the pressure of each unit at the focus of all [Pa]."""
     array, drive = array_of(units), drive_of(units, FORCE_DEPTH_M)
     mine = np.arange(len(array)) // TRANSDUCERS == np.arange(units.count)[:, None]
     return np.array([pressure64(np.array([[0.0, 0.0, FORCE_DEPTH_M]]), array, drive * one, ROOM)[0][0] for one in mine])
 
 
 def level_of_units(units: Units, since_sync_s: Float) -> Float:
-    """Pressure at the focus over that of units in step, by the time since their clocks were set [s]."""
+    """Return the pressure at the focus over that of synchronised units, by time since synchronisation [s]."""
     board = replace(BOARD.sized(units.count * TRANSDUCERS), clock_drift_ppm=DRIFT_PPM, skew_s=SKEW_S)
     late = np.array([board.unit_delays(float(one)) for one in since_sync_s])
     parts = _of_units(units)
@@ -361,7 +361,7 @@ def synchronised(setting: Setting) -> Answer:
 
 
 def extent(count: int) -> Compute:
-    """Width over the transducers' outer rims [mm]; the height is shown."""
+    """Return the width over the outer rims of transducers [mm]; the height is shown."""
 
     def compute(setting: Setting) -> Answer:
         positions = array_of(Units(count)).positions
@@ -372,7 +372,7 @@ def extent(count: int) -> Compute:
 
 
 def ratio_of(change: str | Units, count: int, depth_m: float) -> Compute:
-    """The ratio with one thing changed: other transducers, or another receiver."""
+    """Return the ratio with one change: other transducers, or another receiver."""
 
     def compute(setting: Setting) -> Answer:
         units = units_of(setting, count)
@@ -384,7 +384,7 @@ def ratio_of(change: str | Units, count: int, depth_m: float) -> Compute:
 
 
 def ratio_at_200(count: int, depth_m: float) -> Compute:
-    """The largest pressure near the focus over that at 200 mm, as a scan along the axis would find it."""
+    """Return the largest pressure near the focus over that at 200 mm, as in a scan along the axis."""
 
     def compute(setting: Setting) -> Answer:
         units = units_of(setting, count)

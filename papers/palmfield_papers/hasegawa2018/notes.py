@@ -1,4 +1,4 @@
-"""What stands below the tables of Hasegawa & Shinoda 2018."""
+"""Write the notes below the tables of Hasegawa & Shinoda 2018."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from palmfield_papers.hasegawa2018.units import DEPTHS_M, Units, focal_pressure
 
 
 def notes(setting: Setting) -> str:
-    """Pressures at all depths by directivity and receiver, and what is read into the text."""
+    """Return pressures at all depths by directivity and receiver, and assumptions where the text is open."""
     lines = [
         "## Pressure at the focus over that at 200 mm",
         "",

@@ -1,7 +1,7 @@
 """Rows H19 to H21: the thresholds that the project's observers predict for Hasegawa and Shinoda's stimulus.
 
-Configuration hasegawa.observer and [metrics.threshold] of tolerances.toml: a force on the palm that goes as a sine or a
-square wave on a steady part, detected where an observer reaches 1. Nothing is said outside an observer's table.
+Configuration hasegawa.observer and [metrics.threshold] of tolerances.toml: a sinusoidal or square force on the palm
+with a steady part, detected when an observer reaches 1. Outside the table of an observer there is no result.
 """
 
 import math
@@ -26,11 +26,11 @@ FULL_N = 2e-3 * 9.80665
 """0 dB of Figure 14: 2 gf."""
 PRINTED_N = 0.4e-3
 THIN_M = 0.004
-"""Of the finger's pulp: the least that the project knows between skin and bone."""
+"""Depth of a finger pulp [m]: the smallest depth to bone in the sources of this project."""
 PLATE_M = 0.4
-"""The base of the reading `hasegawa_plate`."""
+"""Base value of the reading `hasegawa_plate`."""
 PERSONS_dB = 10.0
-"""Half of the upper figure of the printed spread, 15 to 20 dB, by which one observer's threshold becomes a band."""
+"""Half of the upper end of the printed spread of 15 to 20 dB, as a band of the threshold of one observer."""
 NAMED = dict(zip(book().axes["observers"], ("afferent_human", "morioka_griffin_2006", "bolanowski_1988"), strict=True))
 DEPTHS_M = dict(zip(book().axes["hasegawa_palm"], (0.01, 0.02), strict=True))
 AS_PRINTED = book().axes["hasegawa_eq8"][0]
@@ -38,13 +38,13 @@ LOWER_BOUND = "The hand-grip table is that of a large contact, so that its thres
 
 
 def sine_N(observer: Observer, frequency_Hz: float, depth_m: float, material: str = "preset") -> float:
-    """Peak amplitude of the sinusoidal force at threshold [N]; NaN outside the observer's table."""
+    """Return the peak amplitude of the sinusoidal force at threshold [N]; NaN outside the observer's table."""
     (motion,) = motion_m_per_N((frequency_Hz,), depth_m, material)
     return float(threshold_m(observer, frequency_Hz)) / motion
 
 
 def rectangle_N(observer: Observer, frequency_Hz: float, depth_m: float, material: str = "preset") -> float:
-    """Half the height of a square wave of the force at threshold [N], by its odd harmonics inside the table.
+    """Return half the height of a square wave of the force at threshold [N], by its odd harmonics inside the table.
 
     NaN where no harmonic lies inside the table.
     """
@@ -60,7 +60,7 @@ def rectangle_N(observer: Observer, frequency_Hz: float, depth_m: float, materia
 
 
 def relative_dB(force_N: float) -> float:
-    """Of 2 gf."""
+    """Return the level of a force re 2 gf [dB]."""
     return 20.0 * math.log10(force_N / FULL_N)
 
 
@@ -70,7 +70,7 @@ def _chosen(setting: Setting) -> tuple[Observer, float]:
 
 @cache
 def _error_dB(frequencies_Hz: tuple[float, ...], depth_m: float) -> float:
-    """Largest change of a level when reach and wavenumbers of the palm's motion are doubled."""
+    """Return the largest change of a level if reach and wavenumbers of the motion are doubled."""
     coarse, fine = (motion_m_per_N(frequencies_Hz, depth_m, fine=fine) for fine in (False, True))
     return float(np.abs(20.0 * np.log10(coarse / fine)).max())
 
@@ -80,7 +80,7 @@ def _inside(observer: Observer) -> tuple[float, ...]:
 
 
 def best_frequency(setting: Setting) -> Answer:
-    """H19-H21a. The margin is how much more the two neighbours of 200 Hz need, or the best one less."""
+    """H19-H21a. The margin is the additional level that both neighbours of 200 Hz need, or minus that of 200 Hz."""
     observer, depth = _chosen(setting)
     frequencies = _inside(observer)
     levels = [relative_dB(sine_N(observer, f, depth)) for f in frequencies]
@@ -93,7 +93,7 @@ def best_frequency(setting: Setting) -> Answer:
         error=0.0,
         margin=margin,
         note=f"Margin in dB, known to {_error_dB(frequencies, depth):.1g} dB, by twice the reach and the wavenumbers; "
-        f"tested frequencies inside the table: {', '.join(f'{f:g}' for f in frequencies)} Hz. {_told(observer)}",
+        f"tested frequencies inside the table: {', '.join(f'{f:g}' for f in frequencies)} Hz. {_described(observer)}",
         shown={f"at {f:g} Hz, dB re 2 gf": round(level, 2) for f, level in zip(frequencies, levels, strict=True)},
     )
 
@@ -121,7 +121,7 @@ def threshold_level(setting: Setting) -> Answer:
         error=_error_dB((BEST_Hz,), depth),
         band=(min(ends) - PERSONS_dB, max(ends) + PERSONS_dB),
         note="Force on 12 x 12 mm. The band is that of the palm's stiffness and of persons, who are printed as 15 to "
-        f"20 dB apart. {_told(observer)}",
+        f"20 dB apart. {_described(observer)}",
         shown={name: round(float(value), 4) for name, value in shown.items()},
     )
 
@@ -146,7 +146,7 @@ def _by_all_force(setting: Setting) -> Answer:
 
 
 def _by_small_area(setting: Setting) -> Answer:
-    """The law of areas is Bolanowski's; the ratio that it gives is put on the observer of the setting."""
+    """Apply the ratio from Bolanowski's law of areas to the observer of the setting."""
     observer, depth = _chosen(setting)
     summing = OBSERVERS["bolanowski_1988"]
     area = moved_area_m2(BEST_Hz, depth)
@@ -159,7 +159,7 @@ def _by_small_area(setting: Setting) -> Answer:
 
 
 def _by_window(setting: Setting) -> Answer:
-    """Temporal summation of the sine under its Hann window, by the law of the observer that states one."""
+    """Apply temporal summation to the sine in its Hann window, by the law of an observer that has one."""
     observer, depth = _chosen(setting)
     temporal = OBSERVERS["bolanowski_1988"].temporal
     assert temporal is not None
@@ -175,7 +175,7 @@ def _other(force_N: float, setting: Setting, note: str = "") -> Answer:
 
 
 def _eq8(level_dB: float, peak_to_peak: bool) -> float:
-    """With the factor 1/2 the printed 0.4 mN is peak to peak, and so is what is held against it."""
+    """With the factor 1/2 the printed 0.4 mN is peak to peak; the compared value is too."""
     return level_dB + (20.0 * math.log10(2.0) if peak_to_peak else 0.0)
 
 
@@ -196,7 +196,7 @@ def rectangle_against_sine(setting: Setting) -> Answer:
         error=_error_dB(lines, depth),
         band=(min(levels), max(levels)),
         note=f"{len(lines)} harmonics lie inside the table, up to {lines[-1]:g} Hz; the amplitude of a rectangle is "
-        f"half its height. The band is that of the palm's stiffness. {_told(observer)}",
+        f"half its height. The band is that of the palm's stiffness. {_described(observer)}",
         shown={
             f"rectangle at {f:g} Hz, dB re 2 gf": round(relative_dB(rectangle_N(observer, f, depth)), 2)
             for f in RECTANGLES_Hz
@@ -205,7 +205,7 @@ def rectangle_against_sine(setting: Setting) -> Answer:
 
 
 def one_unit_slow(setting: Setting, *, lower_dB: float = 0.0) -> Answer:
-    """H19-H21p. lower_dB: of the level, for causes"""
+    """H19-H21p. lower_dB: reduction of the level, for causes"""
     observer, depth = _chosen(setting)
     slow = [f for f in _inside(observer) if f < SLOWEST_FELT_Hz]
     if not slow:
@@ -217,13 +217,13 @@ def one_unit_slow(setting: Setting, *, lower_dB: float = 0.0) -> Answer:
     value = max(levels.values())
     return Answer(
         value, error + _error_dB(tuple(slow), depth), (value - PERSONS_dB, value + PERSONS_dB), margin=-value,
-        note=f"One unit has {share:.1f} dB of the force of four. The band is that of persons. {_told(observer)}",
+        note=f"One unit has {share:.1f} dB of the force of four. The band is that of persons. {_described(observer)}",
         shown={f"one unit at {f:g} Hz, dB SL": level for f, level in levels.items()}
         | {f"four units at {f:g} Hz, dB SL": level - share for f, level in levels.items()},
     )  # fmt: skip
 
 
-def _told(observer: Observer) -> str:
+def _described(observer: Observer) -> str:
     return LOWER_BOUND if observer.name == "morioka_griffin_2006" else ""
 
 
@@ -232,14 +232,14 @@ def _no_value(reason: str) -> Compute:
 
 
 def _lowest_level(setting: Setting) -> Answer:
-    """H19-H21k: what the printed beta comes to."""
+    """H19-H21k: value of the printed beta."""
     return Answer(
         20.0 * math.log10(0.02), error=0.0, note="20 log10(0.02); section 7 prints -35 dB.", shown={"as printed": -35.0}
     )
 
 
 def _meaning(setting: Setting) -> Answer:
-    """H19-H21l: the level of the printed force in both meanings, by this paper's own observer."""
+    """H19-H21l: the level of the printed force in both meanings, by the observer of this paper."""
     return Answer(
         None,
         note="Words: an amplitude of 0.4 mN as printed, one of 0.2 mN with the factor 1/2 that eq. 8 lacks. Row "

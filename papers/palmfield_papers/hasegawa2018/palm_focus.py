@@ -1,6 +1,6 @@
-"""How the palm moves under the focus of four units: its amplitude in the middle for each newton, by frequency.
+"""Compute the motion of the palm under the focus of four units: amplitude at the centre per newton, by frequency.
 
-Only the mean over angle of the focus's radiation pressure moves the middle of a flat endless layer, so that an integral
+Only the angular mean of the radiation pressure moves the centre of a flat infinite layer, so the integral
 over wavenumbers is exact: u = integral of C(k) P(k) k dk, P the Hankel transform of that mean, C the layer's compliance
 (`palmfield.skin.analytic.layer_oracle`).
 """
@@ -22,23 +22,23 @@ from palmfield.types import Air, Array, Float
 
 DEPTH_M = 0.2
 JIG_M = 0.012
-"""Edge of the square on which the paper's 20 mN were measured."""
+"""Edge of the square on which the 20 mN of the paper were measured."""
 REACH_M = 0.05
-"""Of the radiation pressure that counts: half the width of a palm, roughly. Twice as much is the finer run."""
+"""Radius of the radiation pressure that is included [m], about half the width of a palm; doubled in the finer run."""
 SHORTEST_rad_m = 1300.0
-"""Wavenumbers end here: those of ARP end at 2 k sin(42 degrees) = 980 rad/m."""
+"""Largest wavenumber; those of the ARP end at 2 k sin(42 degrees) = 980 rad/m."""
 SPACINGS = 400
-"""Of places on a plate's edge: 1 mm on the largest."""
+"""Number of points along the edge of a plate: 1 mm apart on the largest."""
 MATERIALS = ("preset", "softest", "stiffest")
 
 
 def four_units() -> Array:
-    """The four units of the paper with pistons of 4.5 mm, the base reading of `hasegawa_directivity`."""
+    """Return the four units of the paper with pistons of 4.5 mm, the base reading of `hasegawa_directivity`."""
     return replace(layout("autd2018_2x2"), directivity_table=None)
 
 
 def palm(which: str) -> Material:
-    """The project's palm (MATERIALS), or it at an end of what is known of it."""
+    """Return the material of the palm (MATERIALS), or at an end of its range."""
     ends = softest_and_stiffest(CATALOGUE["palm"])
     assert ends is not None
     return {"preset": CATALOGUE["palm"].material, "softest": ends[0], "stiffest": ends[1]}[which]
@@ -53,13 +53,13 @@ def _arp_at(points: Float, normals: Float) -> Float:
 
 @cache
 def force_N(edge_m: float) -> float:
-    """Force on a square round the focus at full drive [N]."""
+    """Return the force on a square around the focus at full drive [N]."""
     return plate_force(_arp_at, Plate(width_m=edge_m, height_m=edge_m, spacing_m=edge_m / SPACINGS)).force_N
 
 
 @cache
 def ring_mean(reach_m: float, rings: int) -> tuple[Float, Float, Float]:
-    """Radii [m], weights [m] of a quadrature over them, and the mean over angle of the ARP for each newton on the jig
+    """Return radii [m], quadrature weights [m], and angular mean of the ARP per newton on the jig
     [Pa/N], each of shape (rings,)."""
     nodes, shares = np.polynomial.legendre.leggauss(rings)
     radii = 0.5 * reach_m * (1.0 + nodes)
@@ -76,7 +76,7 @@ def ring_mean(reach_m: float, rings: int) -> tuple[Float, Float, Float]:
 def motion_m_per_N(
     frequencies_Hz: tuple[float, ...], thickness_m: float, material: str = "preset", *, fine: bool = False
 ) -> Float:
-    """Peak displacement of the middle for each newton of sinusoidal force on the jig [m/N], shape (n,).
+    """Return the peak displacement of the centre per newton of sinusoidal force on the jig [m/N], shape (n,).
 
     material: of MATERIALS; fine: twice the reach and twice the wavenumbers, for the error
     """
@@ -92,7 +92,7 @@ def _motion(frequency_Hz: float, thickness_m: float, material: str, fine: bool) 
 
 @cache
 def moved_area_m2(frequency_Hz: float, thickness_m: float) -> float:
-    """Area on which the motion exceeds half of that in the middle [m2], by the mean over angle of the focus."""
+    """Return the area in which motion exceeds half of that at the centre [m2], for the angular mean of the focus."""
     k, weights, spectrum = _spectrum(False)
     radii = np.linspace(0.0, REACH_M, 501)
     amplitude = np.abs(j0(np.outer(radii, k)) @ (layer_compliance(k, frequency_Hz, palm("preset"), thickness_m)
@@ -103,7 +103,7 @@ def moved_area_m2(frequency_Hz: float, thickness_m: float) -> float:
 
 @cache
 def _spectrum(fine: bool) -> tuple[Float, Float, Float]:
-    """Wavenumbers, weights of a quadrature over them, and the Hankel transform of `ring_mean` [m2 Pa/N]."""
+    """Return wavenumbers, weights of a quadrature over them, and the Hankel transform of `ring_mean` [m2 Pa/N]."""
     times = 2 if fine else 1
     radii, shares, pressure = ring_mean(times * REACH_M, times * 96)
     nodes, weights = np.polynomial.legendre.leggauss(8)

@@ -1,4 +1,4 @@
-"""Figures 3, 6, 7, 9, 11 and 13 of Hasegawa & Shinoda 2018 from our data, and what its sections 3 and 4 say."""
+"""Draw Figures 3, 6, 7, 9, 11 and 13 of Hasegawa & Shinoda 2018, and results of sections 3 and 4, from our data."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -30,7 +30,7 @@ from palmfield_papers.hasegawa2018.units import (
 
 HALF_MAP_M = 0.05
 SHADES = ("#fdba74", "#f97316", "#c2410c", "#7c2d12", "#4338ca", "#1e1b4b")
-"""Of the six depths, near to far."""
+"""Colours of the six depths, near to far."""
 
 
 def focus_maps(setting: Setting) -> Figure:
@@ -133,8 +133,8 @@ def pulse_width_law(setting: Setting) -> Figure:
         ("leading", "leading edge held, eq. 6", COLOURS[0]),
         ("centre", "centre held", COLOURS[1]),
     )
-    for held, name, colour in kinds:
-        turned = np.degrees(np.subtract(edge_phase(duty, held), edge_phase(0.5, held)))
+    for fixed, name, colour in kinds:
+        turned = np.degrees(np.subtract(edge_phase(duty, fixed), edge_phase(0.5, fixed)))
         edge.plot(duty, turned, color=colour, label=name)
     edge.set(xlabel="duty cycle d", ylabel="phase [deg]", title="Phase of the sound")
     edge.legend()
@@ -142,7 +142,7 @@ def pulse_width_law(setting: Setting) -> Figure:
 
 
 def saw_waves(setting: Setting) -> Figure:
-    """A saw of 50 Hz designed for three exponents on a device whose exponent is 1.5."""
+    """Draw a saw wave of 50 Hz designed for three exponents on a device whose exponent is 1.5."""
     rate, periods = 50.0, 6
     times = np.arange(0, periods / rate, 1.0 / PACKET_RATE_HZ)
     wanted = (times * rate) % 1.0
@@ -182,7 +182,7 @@ def flatness_curves(setting: Setting) -> Figure:
 
 
 def beat(setting: Setting) -> Figure:
-    """Pressure in the focus over time with clocks that drift, set every 500 us or never."""
+    """Draw the pressure in the focus over time with drifting clocks, synchronised every 500 us or never."""
     times = np.linspace(0.0, 2.0, 801)
     figure = Figure(figsize=(6.5, 2.8), layout="constrained")
     panel = figure.subplots()
@@ -197,7 +197,7 @@ def beat(setting: Setting) -> Figure:
 
 
 def smoothing(setting: Setting) -> Figure:
-    """Spectrum of the pressure's envelope under a sine of 100 Hz: duty held for 20 periods, and filtered."""
+    """Draw the spectrum of the pressure envelope under a sine of 100 Hz: duty held for 20 periods, and filtered."""
     times = np.arange(0.0, 1.0, 1.0 / PACKET_RATE_HZ)
     duty = packets(0.5 + 0.5 * np.sin(2.0 * np.pi * 100.0 * times), 1.5) / HASEGAWA_TICKS
     ratio = round(CARRIER_HZ / PACKET_RATE_HZ)
@@ -207,7 +207,7 @@ def smoothing(setting: Setting) -> Figure:
         ("held for 20 periods", np.repeat(duty, ratio), COLOURS[0]),
         ("filtered", np.clip(resample(duty, PACKET_RATE_HZ, carrier_Hz=CARRIER_HZ), 0.0, 0.5), COLOURS[1]),
     ):
-        # Whole periods away from the ends, where the filter knows no more packets
+        # Whole periods away from the ends, where the filter has no more packets
         envelope = relative_pressure(np.asarray(course, dtype=float), 1.5)[len(course) // 10 : -len(course) // 10]
         lines = np.abs(np.fft.rfft(envelope)) / len(envelope)
         f = np.fft.rfftfreq(len(envelope), 1.0 / CARRIER_HZ)

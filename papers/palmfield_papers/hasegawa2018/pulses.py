@@ -10,7 +10,7 @@ from palmfield.types import Float
 
 
 def duty_course(packet_widths: ArrayLike) -> Float:
-    """Duty in each carrier period, shape (20 k,), for the pulse widths of k packets, in ticks.
+    """Return the duty in each carrier period, shape (20 k,), for the pulse widths of k packets, in ticks.
 
     Units smooth the 2 kHz input by an FIR low-pass; see `resample`.
     """
@@ -19,7 +19,7 @@ def duty_course(packet_widths: ArrayLike) -> Float:
 
 
 def waveform(start: ArrayLike, width: ArrayLike, ticks: int) -> Float:
-    """One period of each pulse train, 0 or 1, one sample a tick, shape (n, ticks). For plots and checks."""
+    """Return one period of each pulse train, 0 or 1, one sample per tick, shape (n, ticks). For plots and checks."""
     since = np.mod(np.arange(ticks) - np.asarray(start)[..., None], ticks)
     return (since < np.asarray(width)[..., None]).astype(float)
 
@@ -29,15 +29,15 @@ def resample(
 ) -> NDArray[np.inexact]:
     """Resample frames from the control rate to one value a carrier period by an FIR low-pass.
 
-    Held frames make steps in the envelope, audible at the frame rate and its multiples; Hasegawa & Shinoda 2018 smooth
+    Constant frames cause steps in the envelope, audible at multiples of the frame rate. Hasegawa & Shinoda 2018 smooth
     the duty in this way (their filter is not printed; this one is a Kaiser-windowed sinc, about 60 dB).
 
     frames: duty, amplitude or drive by frame, real or complex, shape (frames, ...)
     cutoff_Hz: -6 dB; None is half the frame rate
-    span: length of the filter in frames; it delays by span/2 frames on a real device, which is taken off here
+    span: length of the filter in frames; its delay of span/2 frames on a real device is removed here
     Returns shape (frames * carrier_Hz/frame_rate_Hz, ...): row j is at j/carrier_Hz, frame k at k/frame_rate_Hz. The
-        first and last frame are held beyond the ends. It may overshoot: clip a duty to 0..1/2.
-    Raises DeviceError where the carrier is no whole multiple of the frame rate, or for a bad cutoff or span.
+        first and last frame are continued beyond the ends. The result may overshoot: clip a duty to 0..1/2.
+    Raises DeviceError if the carrier is not a whole multiple of the frame rate, and for an invalid cutoff or span.
     """
     from scipy.signal import firwin, upfirdn
 
@@ -54,7 +54,7 @@ def resample(
     up = round(carrier_Hz / frame_rate_Hz)
     taps = np.zeros((span + 1) * up)
     taps[: span * up + 1] = firwin(span * up + 1, cutoff, window=("kaiser", 6.0), fs=carrier_Hz)
-    # Each of the `up` phases of the filter must pass a constant unchanged, or held frames would ripple.
+    # Each of the `up` phases of the filter must pass a constant unchanged; otherwise constant frames would ripple
     taps /= np.tile(taps.reshape(span + 1, up).sum(axis=0), span + 1)
     padded = np.concatenate([np.repeat(values[:1], span, axis=0), values, np.repeat(values[-1:], span, axis=0)])
     smooth = upfirdn(taps, padded, up=up, axis=0)

@@ -1,4 +1,4 @@
-"""The units of Hasegawa & Shinoda 2018, their sound, and how a microphone of an eighth of an inch reads it."""
+"""Compute the sound of the units of Hasegawa & Shinoda 2018, and the reading of an 1/8-inch microphone."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -25,7 +25,7 @@ TABLE = "measured table of the T4010A1"
 
 @dataclass(frozen=True)
 class Units:
-    """What sounds. Hashable, so that runs can be kept by it.
+    """Active units. Hashable, so that runs can be cached.
 
     count: 1 or 4; directivity: "piston", of radius_m, "table" or "point"
     """
@@ -36,19 +36,19 @@ class Units:
 
 
 def value_of(setting: Setting, axis: str) -> str:
-    """The reading of an axis; its base where the number doesn't depend on it."""
+    """Return the reading of an axis; its base value if the number does not depend on it."""
     return dict(setting.readings).get(axis, book().axes[axis][0])
 
 
 def units_of(setting: Setting, count: int = 4) -> Units:
-    """The configuration hasegawa.field under the readings and the control of a setting."""
+    """Return the configuration hasegawa.field under the readings and the control of a setting."""
     directivity = "table" if value_of(setting, "hasegawa_directivity") == TABLE else "piston"
     return Units(count, "point" if setting.control == "directivity_point" else directivity)
 
 
 @cache
 def array_of(units: Units) -> Array:
-    """With p0 of the layout, which only the forces hang on."""
+    """Return the array with p0 of the layout, on which only the forces depend."""
     array = layout(LAYOUTS[units.count])
     if units.directivity == "table":
         return array
@@ -62,12 +62,12 @@ def evaluator_of(units: Units, device: str) -> FieldEvaluator:
 
 
 def drive_of(units: Units, depth_m: float, x_m: float = 0.0) -> Complex:
-    """Full drive into a focus on the axis of the aperture, or beside it, shape (n,)."""
+    """Return the full drive for a focus at x_m from the axis of the aperture, shape (n,)."""
     return focus(array_of(units), ROOM, [x_m, 0.0, depth_m])
 
 
 def pressure_at(units: Units, points: Float, drive: Complex, device: str = "cpu") -> Complex:
-    """Complex peak pressure [Pa], shape (n,), in single precision: for maps."""
+    """Return the complex peak pressure [Pa], shape (n,), in single precision: for maps."""
     return np.asarray(evaluator_of(units, device).pressure(points, drive).pressure, dtype=np.complex128)
 
 
@@ -76,7 +76,7 @@ def wavenumber() -> float:
 
 
 def head_on(units: Units, point: Float) -> Complex:
-    """Factor of each transducer's sound by the angle at which it meets a microphone that looks at the units."""
+    """Return the factor of each transducer's sound by its angle of incidence on a microphone that faces the units."""
     rays = array_of(units).positions - point
     cosine = -rays[:, 2] / np.linalg.norm(rays, axis=1)
     return angle_response(cosine, EIGHTH_INCH_M, wavenumber())
@@ -84,10 +84,10 @@ def head_on(units: Units, point: Float) -> Complex:
 
 @cache
 def focal_pressure(units: Units, depth_m: float, receiver: str = "microphone", faces: bool = False) -> float:
-    """[metrics.focal_pressure]: rms at the focal point as commanded [Pa].
+    """Return [metrics.focal_pressure]: rms pressure at the commanded focal point [Pa].
 
     receiver: "microphone", mean over its face and its body's response over angle; "face", the mean alone; "point"
-    faces: each piston as points all over its face instead of by its far field
+    faces: whether pistons are sums of points on their faces instead of far fields
     """
     array, point = array_of(units), np.array([0.0, 0.0, depth_m])
     drive = drive_of(units, depth_m)

@@ -8,13 +8,13 @@ import math
 
 
 def sls_modulus(f_Hz: float, e1_Pa: float, e2_Pa: float, eta3_Pa_s: float) -> complex:
-    """Complex modulus E' - iE'' [Pa] of their eqs 1 and 2, which are right: E1 + i w eta3 E2 / (E2 + i w eta3)."""
+    """Return the complex modulus E' - iE'' [Pa] of their correct eqs 1 and 2: E1 + i w eta3 E2 / (E2 + i w eta3)."""
     rate = 2j * math.pi * f_Hz * eta3_Pa_s
     return (e1_Pa + rate * e2_Pa / (e2_Pa + rate)).conjugate()
 
 
 def equivalent_modulus_as_printed(f_Hz: float, e1_Pa: float, e2_Pa: float, eta3_Pa_s: float) -> float:
-    """Their eq 4, E_d = (E1 E2 + eta3 f (E1 + E2)) / (E2 + eta3 f) [Pa], for E1 at a frequency.
+    """Return their eq 4, E_d = (E1 E2 + eta3 f (E1 + E2)) / (E2 + eta3 f) [Pa], for E1 at a frequency.
 
     It is E1 + i w eta3 E2 / (E2 + i w eta3) with f in place of i w. With f for w the transition is a factor 2 pi too
     high. Without i two parts in quadrature add as if in phase, linear where eq 1 is quadratic in w.
@@ -24,25 +24,25 @@ def equivalent_modulus_as_printed(f_Hz: float, e1_Pa: float, e2_Pa: float, eta3_
 
 
 def law_as_printed(f_Hz: float, e1_Pa: float, e2_Pa: float, eta3_Pa_s: float) -> complex:
-    """Complex modulus [Pa] of their eq 5: eq 3 with E_d for E1.
+    """Return the complex modulus [Pa] of their eq 5: eq 3 with E_d for E1.
 
-    E_d already holds what spring E2 and the dashpot add, and eq 5 adds it once more. Corrected: eq 3 itself, whose
+    E_d already includes spring E2 and the dashpot, and eq 5 adds them again. Corrected: eq 3 itself, whose
     complex modulus is `sls_modulus`.
     """
     return sls_modulus(f_Hz, equivalent_modulus_as_printed(f_Hz, e1_Pa, e2_Pa, eta3_Pa_s), e2_Pa, eta3_Pa_s)
 
 
 def vibration_modulus_as_printed(f_Hz: float, e1_Pa: float, e2_Pa: float, eta3_Pa_s: float) -> float:
-    """Stress over strain of their eq 6, E_d + E2 [Pa], with which they compute displacements.
+    """Return stress over strain of their eq 6, E_d + E2 [Pa], with which they compute displacements.
 
-    E2 is counted twice: at high frequency it tends to E1 + 2 E2 where the solid has E1 + E2, at low frequency to
-    E1 + E2 where it has E1. Corrected: |sls_modulus|.
+    E2 is counted twice: at high frequency it tends to E1 + 2 E2 instead of E1 + E2, at low frequency to
+    E1 + E2 instead of E1. Corrected: |sls_modulus|.
     """
     return equivalent_modulus_as_printed(f_Hz, e1_Pa, e2_Pa, eta3_Pa_s) + e2_Pa
 
 
 def uniaxial_displacement(pressure_Pa: float, thickness_m: float, modulus_Pa: complex) -> float:
-    """Amplitude P h / |E| [m] of a layer that may widen freely, as their eq 6 is used.
+    """Return the amplitude P h / |E| [m] of a layer with free sides, as in their eq 6.
 
     A nearly incompressible layer bonded to its base moves far less:
     palmfield.skin.analytic.layer_oracle.centre_response.

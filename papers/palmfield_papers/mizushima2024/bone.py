@@ -1,4 +1,4 @@
-"""The gel wrapped round a bone: how much farther it moves at rest than the flat layer of the configuration."""
+"""Compute the static displacement of a gel around a bone, relative to the flat layer of the configuration."""
 
 from functools import cache
 
@@ -12,17 +12,17 @@ from palmfield.skin.solvers.wedges import static_wedges
 from palmfield_papers.mizushima2024.gel import THICKNESS_M, Gel, compliance, material_of
 
 BONE_M = 0.005
-"""Radius, assumed: the paper says that it resembles that of an index finger."""
+"""Assumed radius; in the paper it is similar to that of an index finger."""
 LENGTH_M = 0.05
 EDGE_M = 1.6e-3, 2.6e-3
 
 
 @cache
 def over_flat(base: BaseKind, refinements: int = 0) -> float:
-    """Displacement in the middle of the ellipse, C0 at rest, over that of the flat layer; its long axis along the bone.
+    """Return the static displacement at the centre of the ellipse (C0, long axis along the bone), over the flat layer.
 
     The pressure falls with the square of the cosine to the face, and is 0 on the far side.
-    refinements: how often triangles are quartered
+    refinements: number of subdivisions of triangles
     """
     gel, face = Gel("C0", base), BONE_M + THICKNESS_M
     patch = cylinder_patch(face, LENGTH_M, THICKNESS_M, EDGE_M)

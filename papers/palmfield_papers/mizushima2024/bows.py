@@ -1,4 +1,4 @@
-"""The two bows of Mizushima & Sato 2024 in the air of their room, and how they sound under a reading."""
+"""Compute the sound of the two bows of Mizushima & Sato 2024 under a reading, in the air of their room."""
 
 from dataclasses import dataclass, replace
 
@@ -14,21 +14,22 @@ from palmfield_papers.entries import book
 from palmfield_papers.piston_faces import as_faces
 
 ROOM = Air(temperature_C=23.0)
-"""Section 4: the room is at 23 degrees."""
+"""Air of section 4: 23 degrees."""
 SPEAKERS = 6
-"""Of a bow."""
+"""Number of speakers of a bow."""
 QUARTER_INCH_M = 6.35e-3
 
 
 @dataclass(frozen=True)
 class Bows:
-    """What is driven and how it is heard. Hashable, so that runs can be kept by it.
+    """Driven speakers and receiver. Hashable, so that runs can be cached.
 
-    focal_length_m: of the parabola; radius_m: of a speaker's face; coherent: whether both bows sound in step
+    focal_length_m: of the parabola; radius_m: of a speaker's face; coherent: whether the sounds of both bows are
+        coherent
     receiver_m: diameter of the microphone, 0 for a point
-    in_phase: all speakers alike, as one generator drives them, instead of in step at the focus
-    faces: each speaker as points all over its face (Rayleigh's integral) instead of by its far field
-    sounding: how many of a bow, those in its middle
+    in_phase: whether all speakers have equal phase, instead of phases focused at the focus
+    faces: whether speakers are sums of points on their faces (Rayleigh's integral) instead of far fields
+    sounding: number of active speakers in the middle of a bow
     """
 
     focal_length_m: float = 50e-3
@@ -41,12 +42,12 @@ class Bows:
 
 
 def value_of(setting: Setting, axis: str) -> str:
-    """The reading of an axis; its base where the number doesn't depend on it."""
+    """Return the reading of an axis; its base value if the number does not depend on it."""
     return dict(setting.readings).get(axis, book().axes[axis][0])
 
 
 def bows_of(setting: Setting) -> Bows:
-    """The configuration mizushima.field under the readings of a setting."""
+    """Return the configuration mizushima.field under the readings of a setting."""
     millimetres = {name: float(value_of(setting, name).removesuffix(" mm")) for name in LENGTHS}
     return Bows(
         focal_length_m=1e-3 * millimetres["mizushima_focal_length"],
@@ -60,17 +61,17 @@ LENGTHS = ("mizushima_focal_length", "mizushima_radius")
 
 
 def array_of(bows: Bows) -> Array:
-    """Speakers of 1 Pa m, whose level the paper doesn't print and no half-width depends on."""
+    """Return speakers of 1 Pa m: the paper does not print their level, and half-widths do not depend on it."""
     return replace(two_bow("two_bow", bows.focal_length_m, bows.radius_m), p0_Pa_m=1.0)
 
 
 def focus_of(bows: Bows) -> Float:
-    """The common focus [m], shape (3,), array frame: x across the bows, y along them, z away from the sensor."""
+    """Return the common focus [m], shape (3,), array frame: x across the bows, y along them, z away from the sensor."""
     return np.array(bow_focus(array_of(bows)))
 
 
 def drives_of(bows: Bows) -> list[Complex]:
-    """Drives whose pressures add up (one), or whose squares do (one a bow), each of shape (12,)."""
+    """Return one drive if pressures add, or a drive for each bow if squares add, each of shape (12,)."""
     array = array_of(bows)
     drive = np.ones(len(array), complex) if bows.in_phase else focus(array, ROOM, focus_of(bows))
     place = np.arange(len(array)) % SPEAKERS
@@ -82,9 +83,9 @@ def drives_of(bows: Bows) -> list[Complex]:
 
 
 def mean_square(bows: Bows, places_m: Float) -> Float:
-    """Square of the pressure's amplitude as the microphone reads it [Pa2], shape (n,).
+    """Return the squared pressure amplitude of the microphone reading [Pa2], shape (n,).
 
-    The radiation pressure and its part at the modulation frequency go with it.
+    The radiation pressure and its component at the modulation frequency are proportional to it.
     """
     array = array_of(bows)
     microphone = Microphone(diameter_m=bows.receiver_m)

@@ -1,4 +1,4 @@
-"""Rows M1 to M7: the bows, what 4000 Pa would take, and the size of the focus."""
+"""Rows M1 to M7: the bows, requirements for 4000 Pa, and the size of the focus."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,15 +31,15 @@ PRINTED_AIR_C_m_s = 343.0
 CARRIER_HZ = 40e3
 STEP_M = 0.25e-3
 REACH_M = {"x": (-45e-3, 45e-3), "y": (-45e-3, 45e-3), "z": (-38e-3, 80e-3)}
-"""Of scans about the focus: along the axes so far that less than half is left at the ends."""
+"""Ranges of scans about the focus: less than half the maximum is left at the ends."""
 CLEAR_M = 5e-3
-"""From the foremost speaker, nearer than which no microphone goes."""
+"""Smallest distance of the microphone from the foremost speaker [m]."""
 LARGEST_PA = 4000.0
 
 
 @cache
 def scan(bows: Bows, axis: str, step_m: float = STEP_M) -> tuple[Float, Float]:
-    """Places along an axis from the focus [m], and the mean square there, relative to its largest; shapes (n,)."""
+    """Return positions along an axis from the focus [m], and mean square relative to its maximum there; shapes (n,)."""
     number = "xyz".index(axis)
     low, high = REACH_M[axis]
     focus = focus_of(bows)
@@ -51,12 +51,12 @@ def scan(bows: Bows, axis: str, step_m: float = STEP_M) -> tuple[Float, Float]:
 
 
 def width_mm(bows: Bows, axis: str, step_m: float = STEP_M) -> float:
-    """[metrics.half_width]: from the largest value to the outermost half level, mean of both sides [mm]."""
+    """Return [metrics.half_width]: from the largest value to the outermost half level, mean of both sides [mm]."""
     return 1e3 * half_width(*scan(bows, axis, step_m))
 
 
 def numerical_error_mm(bows: Bows, axis: str, width: float) -> float:
-    """Of the step, by one of half, and of the far field, by Rayleigh's integral over the faces, both for a point."""
+    """Return the error of the step (from half the step) and of the far field (from Rayleigh's integral), at a point."""
     finer = abs(width_mm(bows, axis, STEP_M / 2) - width)
     bare = replace(bows, receiver_m=0.0)
     return max(finer, abs(width_mm(replace(bare, faces=True), axis) - width_mm(bare, axis)))
@@ -90,7 +90,7 @@ def width_along(axis: str) -> Compute:
 
 
 def width_with(axis: str, change: Callable[[Bows], Bows], power: float = 1.0) -> Compute:
-    """The half-width with one thing changed; power: of the mean square that is looked at."""
+    """Return the half-width with one change; power: exponent of the mean square."""
 
     def compute(setting: Setting) -> Answer:
         at, square = scan(change(bows_of(setting)), axis)
@@ -125,11 +125,11 @@ def causes(axis: str) -> tuple[Cause, ...]:
     )
 
 
-# -- what the paper was given --------------------------------------------------------------------------------------
+# -- inputs of the paper --------------------------------------------------------------------------------------
 
 
 def speaker_angle(number: int) -> Compute:
-    """Angle of a speaker to the focus off its bow's axis [deg]; number: 0 for the outermost."""
+    """Return the angle of a speaker to the focus off its bow's axis [deg]; number: 0 for the outermost."""
 
     def angle(focal_length_m: float) -> float:
         positions, _ = bow(focal_length_m)
@@ -175,7 +175,7 @@ def printed_rayleigh_length(setting: Setting) -> Answer:
     return rayleigh_length(radius)(setting)
 
 
-# -- what 4000 Pa would take ---------------------------------------------------------------------------------------
+# -- requirements for 4000 Pa ---------------------------------------------------------------------------------------
 
 
 def impedance_Pa(air: Air) -> float:
@@ -183,7 +183,7 @@ def impedance_Pa(air: Air) -> float:
 
 
 def needed_pressure_Pa(arp_Pa: float) -> float:
-    """Rms sound pressure of a radiation pressure by alpha p^2/(rho c^2) with alpha 2."""
+    """Return the rms sound pressure for a radiation pressure by alpha p^2/(rho c^2) with alpha 2."""
     return float(np.sqrt(0.5 * arp_Pa * impedance_Pa(ROOM)))
 
 
@@ -197,7 +197,7 @@ def needed_level(setting: Setting) -> Answer:
 
 @cache
 def force_at(bows: Bows, peak_Pa: float, spacing_m: float) -> tuple[float, float]:
-    """Force on a plate of 30 x 30 mm in the focus whose largest radiation pressure is given [N], and a coarser one."""
+    """Return the force on a plate of 30 x 30 mm in the focus with a largest radiation pressure [N], also coarser."""
     focus = focus_of(bows)
     free = replace(bows, receiver_m=0.0)
     largest = float(mean_square(free, focus[None])[0])
@@ -231,7 +231,7 @@ def needed_force(setting: Setting) -> Answer:
 
 
 def needed_p0_Pa_m(bows: Bows) -> float:
-    """Source amplitude of each speaker [Pa m] for 4000 Pa in the focus."""
+    """Return the source amplitude of each speaker [Pa m] for 4000 Pa in the focus."""
     free = replace(bows, receiver_m=0.0)
     per_p0 = np.sqrt(mean_square(free, focus_of(bows)[None])[0] / 2.0)
     return float(needed_pressure_Pa(LARGEST_PA) / per_p0)
@@ -252,11 +252,11 @@ def true_pressure(setting: Setting) -> Answer:
     return Answer(LARGEST_PA / factors, error=0.0)
 
 
-# -- checks of ours about the fringes ------------------------------------------------------------------------------
+# -- checks of the fringes ------------------------------------------------------------------------------
 
 
 def fringe_spacing(setting: Setting) -> Answer:
-    """Distance of the two maxima beside the middle one, halved [mm]."""
+    """Return half the distance of the two maxima next to the central one [mm]."""
     at, square = scan(replace(bows_of(setting), receiver_m=0.0), "x")
     inside = np.flatnonzero((square[1:-1] > square[:-2]) & (square[1:-1] > square[2:])) + 1
     places = []

@@ -1,4 +1,4 @@
-"""Rows M8 to M15: how far a gel of 1 mm on a rigid bone moves under the focus."""
+"""Rows M8 to M15: displacement of a gel of 1 mm on a rigid bone under the focus."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -33,9 +33,9 @@ ENDS = ("softest", "stiffest")
 
 @dataclass(frozen=True)
 class Gel:
-    """What is pushed, and how. Hashable, so that runs can be kept by it.
+    """Gel and load. Hashable, so that runs can be cached.
 
-    hardness: "C0", "C7" or "C15"; end: of the material's known range, "softest", "stiffest", or "" for its value
+    hardness: "C0", "C7" or "C15"; end: of the range of the material, "softest", "stiffest", or "" for its value
     base: see layer_compliance; half_widths_m: of the pressure along x and y, Gaussian, where it is half its peak
     """
 
@@ -46,7 +46,7 @@ class Gel:
 
 
 def gel_of(setting: Setting) -> Gel:
-    """The configuration mizushima.gel under the readings and the control of a setting."""
+    """Return the configuration mizushima.gel under the readings and the control of a setting."""
     base: BaseKind = "bonded" if value_of(setting, "mizushima_bond") == "bonded" else "free_slip"
     if setting.control == "gel_unbonded":
         base = "free_slip"
@@ -64,15 +64,15 @@ def material_of(gel: Gel) -> Material:
 
 
 def frequencies() -> Float:
-    """[metrics.gel_displacement]"""
+    """Return the frequencies of [metrics.gel_displacement]."""
     return np.array(book().metrics["gel_displacement"]["frequencies_hz"])
 
 
 def compliance(gel: Gel, frequency_Hz: float, panels: int = 240) -> complex:
-    """Displacement in the middle of the ellipse per pascal of its peak pressure [m/Pa], positive into the gel.
+    """Return the displacement at the centre of the ellipse per peak pressure [m/Pa], positive into the gel.
 
     u = s_x s_y integral of k C(k) exp(-k^2 (s_x^2 + s_y^2)/4) I0(k^2 (s_x^2 - s_y^2)/4) dk over the layer's compliance
-    C at lateral wavenumbers k, with the spreads s of the Gaussian; by Gauss panels.
+    C at lateral wavenumbers k, with the standard deviations s of the Gaussian, by Gauss quadrature.
     """
     return _ellipse(material_of(gel), gel.base, gel.half_widths_m, frequency_Hz, panels)
 
@@ -94,26 +94,26 @@ def _ellipse(
 
 
 def young_Pa(material: Material, frequency_Hz: float) -> complex:
-    """Complex modulus of a rod that may widen [Pa]."""
+    """Return the complex modulus of a rod with free sides [Pa]."""
     shear, bulk = complex_shear(material, frequency_Hz), complex_bulk(material, frequency_Hz)
     return 9.0 * bulk * shear / (3.0 * bulk + shear)
 
 
 def uniaxial_m(gel: Gel, frequency_Hz: float) -> float:
-    """As the paper's eq 6 is used, with |E*| of the material [m]."""
+    """Return the displacement by eq 6 of the paper, with |E*| of the material [m]."""
     return uniaxial_displacement(LARGEST_PA, THICKNESS_M, young_Pa(material_of(gel), frequency_Hz))
 
 
 def course_um(gel: Gel) -> Float:
-    """Amplitude at 4000 Pa at the frequencies of the metric [um], shape (f,)."""
+    """Return the amplitude at 4000 Pa at the frequencies of the metric [um], shape (f,)."""
     return 1e6 * LARGEST_PA * np.array([abs(compliance(gel, float(f))) for f in frequencies()])
 
 
 @cache
 def off_at_rest(base: BaseKind, half_widths_m: tuple[float, float], quick: bool) -> float:
-    """Relative difference at rest from `static`, elements in depth that know nothing of plane waves, of C0.
+    """Return the relative difference of C0 at rest from `static`, an independent solution by elements in depth.
 
-    A layer without losses is as far off for all moduli: only its Poisson's ratio counts, which the gels share.
+    Without losses it is equal for all moduli: it depends only on Poisson's ratio, which is that of all gels.
     """
     gel = Gel("C0", base, half_widths_m)
     step = 1e-3 if quick else 0.5e-3
@@ -128,7 +128,7 @@ def off_at_rest(base: BaseKind, half_widths_m: tuple[float, float], quick: bool)
 
 
 def neo_hookean_m(gel: Gel, frequency_Hz: float) -> float:
-    """As the uniaxial formula, of an incompressible neo-Hookean solid: P = G (1/s^2 - s), s = 1 - u/h, G = |E*|/3."""
+    """Return the displacement of an incompressible neo-Hookean solid: P = G (1/s^2 - s), s = 1 - u/h, G = |E*|/3."""
     shear = abs(young_Pa(material_of(gel), frequency_Hz)) / 3.0
     left = brentq(lambda s: shear * (s**-2 - s) - LARGEST_PA, 1e-3, 1.0)
     return float(THICKNESS_M * (1.0 - left))
@@ -170,7 +170,7 @@ def by_formula(setting: Setting) -> Answer:
 
 
 def order_of_bonds(setting: Setting) -> Answer:
-    """Least of the differences frictionless less bonded and uniaxial less frictionless over the frequencies [um]."""
+    """Return the least of frictionless minus bonded and uniaxial minus frictionless over the frequencies [um]."""
     gel = gel_of(setting)
     bonded, free = course_um(replace(gel, base="bonded")), course_um(replace(gel, base="free_slip"))
     formula = np.array([1e6 * uniaxial_m(gel, float(f)) for f in frequencies()])
@@ -190,26 +190,26 @@ def order_of_bonds(setting: Setting) -> Answer:
 
 
 def storage(hardness: str) -> Compute:
-    """E' at 10 Hz as an analyser with frictionless plates shows it of the preset."""
+    """Return E' of the preset at 10 Hz in an analyser with frictionless plates."""
 
     def compute(setting: Setting) -> Answer:
         material = preset(f"hitohada_{hardness.lower()}")
         shown = analyser_reading(material, PRINTED_HZ, Analyser(radius_m=1e-3, height_m=1e-3, faces="frictionless"))
-        held = analyser_reading(material, PRINTED_HZ, Analyser(radius_m=1e-3, height_m=1e-3, faces="bonded"))
+        bonded = analyser_reading(material, PRINTED_HZ, Analyser(radius_m=1e-3, height_m=1e-3, faces="bonded"))
         return Answer(
             float(shown.real),
             error=abs(float(shown.real) - GEL_STORAGE_PA[f"hitohada_{hardness.lower()}"]),
             note="disc of 2 mm, frictionless; error: distance of the fit from the printed modulus",
-            shown={"if 1 mm high and bonded to the plates [Pa]": float(held.real)},
+            shown={"if 1 mm high and bonded to the plates [Pa]": float(bonded.real)},
         )
 
     return compute
 
 
 def loss_tangent(setting: Setting) -> Answer:
-    """Least ratio of the largest to the least tan delta over 100 to 1000 Hz, of all standard linear solids.
+    """Return the least ratio of the largest to the least tan delta over 100 to 1000 Hz, of all standard linear solids.
 
-    Its tangent peaks once, as 2/(f/f_p + f_p/f): flattest over the decade with f_p in its middle.
+    Their tangent has one peak, 2/(f/f_p + f_p/f), and is flattest over the decade with f_p in its middle.
     """
     rates = np.geomspace(100.0, 1000.0, 201)
 
@@ -226,7 +226,7 @@ def loss_tangent(setting: Setting) -> Answer:
 
 
 def as_printed_and_corrected(setting: Setting) -> Answer:
-    """Eq 4 beside |E*| of eqs 1 and 2 at 200 Hz, of a solid with E1 = E2 and its transition there."""
+    """Return eq 4 and |E*| of eqs 1 and 2 at 200 Hz, for a solid with E1 = E2 and its transition there."""
     e1 = e2 = 1.0
     viscosity = e2 / (2.0 * np.pi * 200.0)
     right = abs(sls_modulus(200.0, e1, e2, viscosity))

@@ -1,4 +1,4 @@
-"""What stands below the tables of Mizushima & Sato 2024."""
+"""Write the notes below the tables of Mizushima & Sato 2024."""
 
 from palmfield.errors import MeasurementError
 from palmfield.metrics import half_width
@@ -18,7 +18,7 @@ def _width(bows: Bows, axis: str) -> str:
 
 
 def notes(setting: Setting) -> str:
-    """Two readings varied together, the level of 4000 Pa, and what is read into the text."""
+    """Return two readings varied together, the level of 4000 Pa, and assumptions where the text is open."""
     lines = [
         "## Focal length and radius together",
         "",

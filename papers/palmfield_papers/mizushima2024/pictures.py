@@ -1,4 +1,4 @@
-"""Figures 7, 8 and 9 of Mizushima & Sato 2024 from our data."""
+"""Draw Figures 7, 8 and 9 of Mizushima & Sato 2024 from our data."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ PRINTED_MM = {"x": (10.0, 8.0), "y": (3.0,), "z": (8.0, 10.0)}
 
 
 def half_widths(setting: Setting) -> Figure:
-    """Curves along the three axes, for the base and for the focal length and radius that fit the angles."""
+    """Draw curves along the three axes, for the base and for the focal length and radius that fit the angles."""
     base = bows_of(setting)
     short = replace(base, focal_length_m=30e-3, radius_m=5e-3)
     figure = Figure(figsize=(9.0, 5.2), layout="constrained")

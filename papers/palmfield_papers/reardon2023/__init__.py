@@ -14,15 +14,15 @@ CHANGES: Mapping[str, dict[str, Any]] = {
     "bonded below, with 1 Pa s": {"back": "bonded", "viscosity_Pa_s": 1.0},
     "a slab of 2 cm, in which waves are nearer to those of a deep body": {"thickness_m": 0.02},
 }
-"""Possible reasons for a claim on the slab that disagrees, each tested by itself."""
+"""Possible reasons for a claim on the slab that disagrees, each tested separately."""
 FIGURE_CHANGES = dict(list(CHANGES.items())[:2])
-"""The same for figures, which take longer."""
+"""Reasons tested for figures, which take longer."""
 HAND_CHANGES: Mapping[str, dict[str, Any]] = {
     "almost no losses, 0.1 Pa s": {"viscosity_Pa_s": 0.1},
     "a free back": {"back": "free"},
     "a spot of 10 mm, the array's own (row R2e), for 6 mm": {"fwhm_m": 0.01},
 }
-"""The same for the hand."""
+"""Reasons tested for the hand."""
 
 
 LATER = {
@@ -35,7 +35,7 @@ LATER = {
         ),
     ),
 }
-"""What the entries say they could fail by, done when answers were known."""
+"""Failures that entries name, tested when answers were known."""
 
 
 def _causes(varied: Mapping[str, Any], changes: Mapping[str, dict[str, Any]]) -> dict[str, tuple[Cause, ...]]:

@@ -1,4 +1,4 @@
-"""The slab of Reardon et al. 2023 under each reading, and the negative control that acts on it."""
+"""The slab of Reardon et al. 2023 under each reading, and under negative controls."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
@@ -12,9 +12,9 @@ THICKNESS_m = 0.01
 RADIUS_m = 0.125
 FWHM_m = 0.006
 PASCAL = 1.0
-"""Largest pressure of the spot. All that is held are ratios and places, in which it cancels."""
+"""Largest pressure of the spot. It cancels in all compared numbers, which are ratios and positions."""
 FASTER = 1.4
-"""What the control `wave_speed` multiplies the shear speed by."""
+"""Factor of the shear speed in control `wave_speed`."""
 
 
 Back = Literal["free", "bonded"]
@@ -22,7 +22,7 @@ Back = Literal["free", "bonded"]
 
 @dataclass(frozen=True)
 class Plate:
-    """back: "free" or "bonded"; rim: "absorbing" (endless) or "reflecting" (a smooth wall round the 25 cm)."""
+    """back: "free" or "bonded"; rim: "absorbing" (infinite) or "reflecting" (a frictionless wall around the 25 cm)."""
 
     back: Back = "free"
     rim: str = "absorbing"
@@ -39,7 +39,7 @@ class Plate:
 
     @property
     def slab(self) -> Slab:
-        """As a problem of `palmfield.skin`."""
+        """The slab for `palmfield.skin`."""
         sheets = (Sheet(self.material, self.thickness_m),)
         if self.rim == "reflecting":
             return Slab(sheets, shape="disc", base=self.back, side="roller", radius_m=RADIUS_m)
@@ -48,13 +48,13 @@ class Plate:
 
 @dataclass(frozen=True)
 class Course:
-    """A focus that moves along straight lines at constant speed, from rest of the slab.
+    """A focus that moves along straight lines at constant speed; the slab is initially at rest.
 
-    corners: [m], in turn; speed_m_s: along the lines; steps: samples of equal length in time, at which all is looked at
-    turns: how often a closed path (whose last corner is its first) is gone round
-    rate_Hz: the focus is moved so often and holds between; None where it moves on
-    skipped: samples from the start on that are not looked at
-    still_after_s: silence after the end [s], which is looked at as well
+    corners: [m], in order; speed_m_s: along the lines; steps: number of samples at equal time steps
+    turns: number of turns on a closed path (whose last corner is its first)
+    rate_Hz: control rate, with constant position in between; None for continuous motion
+    skipped: number of first samples that are not evaluated
+    still_after_s: silence after the end [s], which is evaluated too
     """
 
     corners: tuple[tuple[float, float], ...]
@@ -67,12 +67,12 @@ class Course:
 
 
 DEEP: dict[str, Any] = {"back": "bonded", "thickness_m": 0.06}
-"""The paper's own solver ends its grid in an absorbing layer, below too. Shear waves need 24 ms to the base of 60 mm
+"""The solver of the paper has an absorbing layer, also below. Shear waves need 24 ms to the base of 60 mm
 and back, about as long as the runs last."""
 
 
 def plate_of(setting: Setting, **changes: Any) -> Plate:
-    """The slab of rows R5 to R14 and R20; changes: of its fields, to look for causes."""
+    """The slab of rows R5 to R14 and R20; changes: of its fields, to find causes."""
     readings = dict(setting.readings)
     plate = Plate(
         back=cast(Back, readings.get("reardon_back", "free")),
@@ -84,7 +84,7 @@ def plate_of(setting: Setting, **changes: Any) -> Plate:
 
 
 def tissue_of(setting: Setting, **changes: Any) -> Plate:
-    """The slab that stands for the hand in rows R16 to R19: bonded, endless."""
+    """The slab that represents the hand in rows R16 to R19: bonded, infinite."""
     readings = dict(setting.readings)
     tissue = readings.get("reardon_hand_tissue", "slab of 1 cm at 5 m/s, bonded")
     speed = _number(tissue.split(" at ")[1])
@@ -100,12 +100,12 @@ def length_of(setting: Setting) -> float:
 
 
 def threshold_of(setting: Setting) -> float:
-    """Share of the largest value that a wake reaches."""
+    """Fraction of the maximum that defines a wake."""
     return 0.01 * _number(dict(setting.readings).get("reardon_threshold", "10 %"))
 
 
 def first_number(setting: Setting, axis: str) -> float:
-    """The first number in the words of a reading, as "30 % of the ring"."""
+    """Return the first number in the text of a reading, such as "30 % of the ring"."""
     return _number(setting.reading(axis).removeprefix("radius "))
 
 

@@ -15,7 +15,7 @@ from palmfield.stimulus import line, zigzagged
 from palmfield.types import Float
 from palmfield_papers.answer import Answer, Setting
 from palmfield_papers.reardon2023.configuration import Course, FWHM_m, Plate, RADIUS_m, first_number, plate_of
-from palmfield_papers.reardon2023.held import answered, level_of
+from palmfield_papers.reardon2023.resolution import answered, level_of
 from palmfield_papers.reardon2023.runs import COARSE, FINER, FULL, QUICK, GRID_m, SPACING_m, run
 
 ZIGZAG_m = 0.16
@@ -23,14 +23,14 @@ ACROSS_m_s = 2.5
 CORNER_m = 0.006
 MARGIN_m = 0.003
 TURNS = 5
-"""Turns from rest before the window of squares and circles, and turns in it."""
+"""Number of turns before the window of squares and circles, and in it."""
 SEGMENTS = {COARSE: 24, QUICK: 32, FULL: 64, FINER: 96}
-"""Of a circle, by level: of 32 the polygon is 0.5 % off in radius at most."""
+"""Number of segments of a circle, by level; with 32 the radius deviates by at most 0.5 %."""
 ANGLES = 256
-"""Round a circle, at which its maps are averaged."""
+"""Number of angles on a circle at which maps are averaged."""
 RING_STEP_m = 5e-4
 RIDGE_m = 0.003
-"""By which the ridge of a spiral may move in radius between two angles."""
+"""Largest change of the radius of the ridge of a spiral between two angles [m]."""
 SPIRAL_TURNS = 3
 
 
@@ -42,14 +42,14 @@ def _steps(way: float, level: int, multiple: int = 1) -> int:
 
 
 def z_course(side: float, speed: float, level: int) -> Course:
-    """A Z in a square of this side: along the top, down the diagonal, along the foot."""
+    """Return a Z in a square of a side: along the top, down the diagonal, along the foot."""
     half = 0.5 * side
     corners = ((-half, half), (half, half), (-half, -half), (half, -half))
     return Course(corners, speed, _steps(side * (2.0 + math.sqrt(2.0)), level))
 
 
 def design(course: Course, places: Float, fwhm: float = FWHM_m) -> Float:
-    """Mean over time of the spot's pressure, shape (n, n): of Gaussians along the path, half a millimetre apart."""
+    """Return the mean pressure of the spot over time, shape (n, n): Gaussians along the path at steps of 0.5 mm."""
     corners = np.array(course.corners)
     arcs = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     way = (np.arange(math.ceil(arcs[-1] / 5e-4)) + 0.5) / math.ceil(arcs[-1] / 5e-4) * arcs[-1]
@@ -60,7 +60,7 @@ def design(course: Course, places: Float, fwhm: float = FWHM_m) -> Float:
 
 @dataclass(frozen=True)
 class Drawn:
-    """Energy density [m^2/s^2] or rms velocity [m/s] of a figure, on places [m] both ways, shape (n, n)."""
+    """Energy density [m^2/s^2] or rms velocity [m/s] of a figure, at positions [m] along both axes, shape (n, n)."""
 
     places_m: Float
     values: Float
@@ -68,14 +68,14 @@ class Drawn:
 
 @cache
 def z_energy(plate: Plate, side: float, speed: float, level: int, device: str) -> Drawn:
-    """Energy density of the Z, in the window of [metrics.mse]."""
+    """Return the energy density of the Z, in the window of [metrics.mse]."""
     motion = run(plate, z_course(side, speed, level), level, device)
     shown = np.abs(motion.places_m) <= side * (1.0 + 1e-9)
     return Drawn(motion.places_m[shown], motion.energy()[np.ix_(shown, shown)])
 
 
 def likeness(setting: Setting, level: int, speed: float, **changes: Any) -> tuple[float, float]:
-    """MSE and SSIM of a Z to its design."""
+    """Return MSE and SSIM of a Z relative to its design."""
     side = 0.01 * first_number(setting, "reardon_z_size")
     plate = plate_of(setting, **changes)
     drawn = z_energy(plate, side, speed, level, setting.device)
@@ -112,26 +112,26 @@ def _ssim(**changes: Any) -> Callable[[Setting], Answer]:
 
 
 def zigzag_corners(length: float, width: float, along: float, across: float) -> tuple[tuple[float, float], ...]:
-    """From the lower edge, strokes at speeds along and across until the length is full, centred [m]."""
+    """Return the corners of strokes from the lower edge, with speeds along and across, over the length, centred [m]."""
     path = zigzagged(line(length), width, width / across * along)
     return tuple((float(x), float(y)) for x, y in path.points)
 
 
 def zigzag_course(width: float, along: float, level: int) -> Course:
-    """16 cm of a zigzag."""
+    """Return 16 cm of a zigzag."""
     speed = math.hypot(along, ACROSS_m_s)
     return Course(zigzag_corners(ZIGZAG_m, width, along, ACROSS_m_s), speed, _steps(ZIGZAG_m / along * speed, level))
 
 
 @cache
 def zigzag_rms(plate: Plate, width: float, along: float, level: int, device: str) -> Drawn:
-    """Rms velocity of a zigzag from its start to its end."""
+    """Return the rms velocity of a zigzag from its start to its end."""
     motion = run(plate, zigzag_course(width, along, level), level, device)
     return Drawn(motion.places_m, np.sqrt(motion.energy()))
 
 
 def corner_ratio(drawn: Drawn, corners: Float, chosen: Float) -> float | None:
-    """[metrics.corner_energy]: largest rms velocity near the chosen corners over the median on the strokes elsewhere;
+    """Return [metrics.corner_energy]: largest rms velocity near the chosen corners over the median elsewhere;
     None without corners."""
     if len(chosen) == 0:
         return None
@@ -146,7 +146,7 @@ def corner_ratio(drawn: Drawn, corners: Float, chosen: Float) -> float | None:
 
 
 def corners_at(setting: Setting, level: int, along: float, *, every: bool = False, **changes: Any) -> float | None:
-    """The ratio at a speed along the path; every: at all turns, else without the first and the last."""
+    """Return the ratio at a speed along the path; every: include the first and the last turn."""
     width = 0.01 * first_number(setting, "reardon_zigzag")
     drawn = zigzag_rms(plate_of(setting, **changes), width, along, level, setting.device)
     corners = np.array(zigzag_corners(ZIGZAG_m, width, along, ACROSS_m_s))
@@ -178,7 +178,7 @@ def corner_answer(setting: Setting) -> Answer:
 
 
 def square_course(side: float, speed: float, level: int) -> Course:
-    """Ten turns round a square."""
+    """Return ten turns round a square."""
     half = 0.5 * side
     corners = ((-half, -half), (half, -half), (half, half), (-half, half), (-half, -half))
     steps = TURNS * _steps(4.0 * side, level, 4)
@@ -187,13 +187,13 @@ def square_course(side: float, speed: float, level: int) -> Course:
 
 @cache
 def square_rms(plate: Plate, side: float, speed: float, level: int, device: str) -> Drawn:
-    """Rms velocity over the last five of ten turns."""
+    """Return the rms velocity over the last five of ten turns."""
     motion = run(plate, square_course(side, speed, level), level, device)
     return Drawn(motion.places_m, np.sqrt(motion.energy()))
 
 
 def inside_mm(drawn: Drawn, side: float) -> float:
-    """How far the largest rms velocity lies inside a square path [mm]; negative outside."""
+    """Return the distance of the largest rms velocity from a square path [mm]; positive inside."""
     row, column = np.unravel_index(drawn.values.argmax(), drawn.values.shape)
     x, y = abs(drawn.places_m[row]), abs(drawn.places_m[column])
     half = 0.5 * side
@@ -202,7 +202,7 @@ def inside_mm(drawn: Drawn, side: float) -> float:
 
 
 def interior_maxima(drawn: Drawn, side: float) -> int:
-    """[metrics.interior_maximum]: places above their eight neighbours, three millimetres and more inside a square."""
+    """Return [metrics.interior_maximum]: number of local maxima at least 3 mm inside a square."""
     values = drawn.values
     middle = values[1:-1, 1:-1]
     around = [
@@ -248,7 +248,7 @@ def _maxima(**changes: Any) -> Callable[[Setting], Answer]:
 
 @dataclass(frozen=True)
 class Circled:
-    """Rms and turning mean of a circle.
+    """Rms velocity and mean in the rotating frame of a circle.
 
     radii_m: shape (r,); ring: mean over angle of the rms velocity [m/s], shape (r,)
     spiral: mean velocity in the frame of the focus [m/s], by radius and angle behind it, of ANGLES to a turn, (r, a)
@@ -262,19 +262,19 @@ class Circled:
 
 
 def circle_course(radius: float, speed: float, level: int) -> Course:
-    """Ten turns round a circle, counter-clockwise."""
+    """Return ten turns round a circle, counter-clockwise."""
     count = SEGMENTS[level]
     angle = 2.0 * math.pi * np.arange(count + 1) / count
     corners = tuple((radius * math.cos(a), radius * math.sin(a)) for a in angle[:-1])
     around = (*corners, corners[0])
-    # The sides are a little shorter than the arcs; the focus is as much slower, so that turns take their time
+    # The chords are shorter than the arcs; the focus is slower by the same factor, so that a turn has the same duration
     chord = count * math.sin(math.pi / count) / math.pi
     return Course(around, speed * chord, 2 * TURNS * count, turns=2 * TURNS, skipped=TURNS * count)
 
 
 @cache
 def circled(plate: Plate, radius: float, speed: float, level: int, device: str) -> Circled:
-    """A circle's maps over the last five of ten turns."""
+    """Return the maps of a circle over the last five of ten turns."""
     motion = run(plate, circle_course(radius, speed, level), level, device)
     rms = np.sqrt(motion.energy())
     radii = np.asarray(RING_STEP_m * np.arange(int(RADIUS_m / RING_STEP_m) + 1), dtype=float)
@@ -290,25 +290,25 @@ def circled(plate: Plate, radius: float, speed: float, level: int, device: str) 
 
 
 def ring_radius(one: Circled, path: float) -> float:
-    """[metrics.circle_maps].ring: radius of the largest mean over angle that is not beyond the path [m]."""
+    """Return [metrics.circle_maps].ring: radius of the largest mean over angle that is not beyond the path [m]."""
     inside = one.radii_m <= path * (1.0 + 1e-9)
     return float(one.radii_m[inside][one.ring[inside].argmax()])
 
 
 def quiet_radius(one: Circled, path: float, level: float) -> float:
-    """[metrics.circle_maps].quiescent_disc: largest radius inside which the mean stays below a share of the ring's [m];
-    0 where the middle is above."""
+    """Return [metrics.circle_maps].quiescent_disc: largest radius with the mean below a fraction of the ring [m];
+    0 if the centre is above."""
     inside = one.radii_m <= path * (1.0 + 1e-9)
     loud = np.flatnonzero(one.ring >= level * one.ring[inside].max())
     return float(one.radii_m[max(loud[0] - 1, 0)])
 
 
 def spiral_length(one: Circled, path: float) -> float:
-    """[metrics.circle_maps].spiral_wake: arc length behind the focus over which the ridge stays above 10 % [m].
+    """Return [metrics.circle_maps].spiral_wake: arc length behind the focus with the ridge above 10 % [m].
 
-    The ridge begins at the largest magnitude that is at most a spot's width behind the focus and 3 mm beside the path,
-    as the middle of a dent that moves is at rest. It follows, from angle to angle, the largest magnitude within 3 mm of
-    radius, and ends at the slab's rim, and after three turns. 0 where nothing behind the focus reaches 10 %.
+    The ridge begins at the largest magnitude that is at most one spot width behind the focus and 3 mm from the path,
+    since the centre of a moving dent is at rest. It follows, from angle to angle, the largest magnitude within 3 mm of
+    radius, and ends at the rim of the slab or after three turns. The result is 0 if no magnitude reaches 10 %.
     """
     size = np.abs(one.spiral)
     most = float(size.max())
@@ -326,7 +326,7 @@ def spiral_length(one: Circled, path: float) -> float:
 
 
 def path_radius(setting: Setting) -> float:
-    """Of the circle [m]."""
+    """Return the radius of the circle [m]."""
     return 0.01 * first_number(setting, "reardon_circle")
 
 
@@ -335,7 +335,7 @@ def _circle(setting: Setting, level: int, speed: float, **changes: Any) -> Circl
 
 
 def rings_mm(setting: Setting, level: int, **changes: Any) -> list[float]:
-    """Radius of the ring at 5, 7 and 10 m/s [mm]."""
+    """Return the radius of the ring at 5, 7 and 10 m/s [mm]."""
     return [1e3 * ring_radius(_circle(setting, level, v, **changes), path_radius(setting)) for v in (5.0, 7.0, 10.0)]
 
 
@@ -347,7 +347,7 @@ def _shrinks(**changes: Any) -> Callable[[Setting], Answer]:
         of = rings_mm(setting, level_of(setting), **changes)
         shown = {f"{v:g} m/s [mm]": one for v, one in zip((5.0, 7.0, 10.0), of, strict=True)}
         note = "the least decrease from one speed to the next [mm]; no decrease is none"
-        # Radii are told in half millimetres: one that stays where it is does not decrease
+        # Radii have a resolution of 0.5 mm: a constant radius does not count as decreasing
         return answered(
             number, setting, changes=changes, margin=lambda v: v - 0.5 * 1e3 * RING_STEP_m, note=note, shown=shown,
             resolution=1e3 * RING_STEP_m,
@@ -376,7 +376,7 @@ def _quiet(**changes: Any) -> Callable[[Setting], Answer]:
 
 
 def spirals_m(setting: Setting, level: int, **changes: Any) -> dict[float, float]:
-    """Length of the spiral wake by speed [m]."""
+    """Return the length of the spiral wake by speed [m]."""
     path = path_radius(setting)
     return {v: spiral_length(_circle(setting, level, v, **changes), path) for v in (3.0, 5.0, 7.0, 10.0)}
 
@@ -399,5 +399,5 @@ def _spiral(**changes: Any) -> Callable[[Setting], Answer]:
 VARIED = {
     "R10a": _mse, "R10b": _ssim, "R13c": _place, "R13d": _maxima, "R14a": _shrinks, "R14b": _quiet, "R14c": _spiral,
 }  # fmt: skip
-"""Answers with changed fields of the slab, to look for causes."""
+"""Answers with changed fields of the slab, to find causes."""
 ANSWERS = {**{name: make() for name, make in VARIED.items()}, "R11f": corner_answer}

@@ -1,4 +1,4 @@
-"""Numbers that need no run of the slab: what was given, slips of the paper, and the array's own focus."""
+"""Numbers that need no run of the slab: inputs, errors of the paper, and the focus of the array."""
 
 import math
 
@@ -24,7 +24,7 @@ def _closed(value: float, note: str) -> Answer:
 
 
 def array_width(setting: Setting) -> Answer:
-    """R2e: width of the ARP of 16 x 16 transducers at 200 mm, by a parabola's places between samples of 0.1 mm."""
+    """R2e: width of the ARP of 16 x 16 transducers at 200 mm, by parabolic interpolation between samples of 0.1 mm."""
     array, air = layout("uhev1"), Air()
     widths = []
     for step in (1e-4, 5e-5):
@@ -41,7 +41,7 @@ def array_width(setting: Setting) -> Answer:
     return Answer(widths[1], abs(widths[1] - widths[0]), note="layout uhev1, default law of the ARP")
 
 
-def told(note: str) -> Answer:
+def words(note: str) -> Answer:
     """Words only."""
     return Answer(None, note=note)
 
@@ -50,15 +50,15 @@ ANSWERS = {
     "R2b": lambda setting: _closed(1e4 * math.pi * FWHM_m**2 / 4.0, "disc of the source's width"),
     "R2d": lambda setting: _closed(100.0 * (FWHM_m / (0.5 * SOUND_m_s / CARRIER_Hz) - 1.0), "6 mm over c/(2 f)"),
     "R2e": array_width,
-    "R4a": lambda setting: told(
+    "R4a": lambda setting: words(
         "as printed, inertia and elasticity both have the other sign: a static force would move the skin against "
         "itself; the solver takes the corrected one"
     ),
-    "R4b": lambda setting: told("the solver takes complex moduli; 0.02 Pa s is what the printed absorption comes to"),
+    "R4b": lambda setting: words("the solver takes complex moduli; 0.02 Pa s is what the printed absorption comes to"),
     "R5c": lambda setting: _closed(preset("gelatin_2").density_kg_m3, "preset gelatin_2"),
     "R5d": lambda setting: _closed(describe(preset("gelatin_2"), 1.0).shear_speed_m_s, "preset gelatin_2 at 1 Hz"),
     "R5e": lambda setting: _closed(1e-3 * preset("gelatin_2").shear_relaxed_Pa, "preset gelatin_2"),
-    "R7d": lambda setting: told("asin(1/M) is between front and path, half of the cone's apex angle"),
+    "R7d": lambda setting: words("asin(1/M) is between front and path, half of the cone's apex angle"),
     "R15b": lambda setting: _closed(float(len(SCAN_X_m) * len(SCAN_Y_m)), "40 by 30 places 5 mm apart"),
     "R16-R18j": lambda setting: _closed(ACROSS_m_s / (2.0 * WIDTH_m), "lateral speed over twice the width"),
     "R16-R18k": lambda setting: _closed(ACROSS_m_s / WIDTH_m, "lateral speed over the width"),

@@ -15,36 +15,36 @@ from palmfield.types import Float
 from palmfield_papers.answer import Answer, Setting
 from palmfield_papers.reardon2023.configuration import Course, Plate, tissue_of
 from palmfield_papers.reardon2023.figures import zigzag_corners
-from palmfield_papers.reardon2023.held import answered, level_of
 from palmfield_papers.reardon2023.lines import LATERAL_m
 from palmfield_papers.reardon2023.phantom import BAND_Hz
+from palmfield_papers.reardon2023.resolution import answered, level_of
 from palmfield_papers.reardon2023.runs import FULL, QUICK, line_run, sampled
 
 PATH_m, WIDTH_m, ACROSS_m_s = 0.16, 0.02, 2.5
 SPEEDS = (1.0, 2.0, 4.0, 7.0, 11.0)
 FELT = (0.5, *SPEEDS)
 FITTED = (0.5, 1.0)
-"""Speeds at which the observer's noise is fitted."""
+"""Speeds at which the noise of the observer is fitted [m/s]."""
 EASY = 0.95
-"""Mean share of right answers there. The text prints none: 0.5 m/s "could be easily perceived"."""
+"""Mean fraction of right answers there. The text gives no value: 0.5 m/s "could be easily perceived"."""
 OTHER_EASY = (0.75, 0.99)
 INTEGRATION_s = 0.2
-"""Memory of the Pacinian channel in the project's notes on perception, the only one given."""
+"""Integration time of the Pacinian channel [s], the only value in the notes on perception."""
 OTHER_INTEGRATION_s = (0.0, 0.02)
 SILENCE_s = 0.04
-"""After a pass; the slab is at rest by then."""
+"""Silence after a pass [s], after which the slab is at rest."""
 RECEPTORS_m = 5e-3 * np.arange(-16, 17)
-"""Along the path."""
+"""Positions of receptors along the path [m]."""
 CROSSINGS_Hz = ACROSS_m_s / WIDTH_m
-"""How often a second the focus crosses the axis of the zigzag."""
+"""Frequency at which the focus crosses the axis of the zigzag."""
 CHANCE = 6.3
 """Points from 50 % within which 240 fair trials lie at 95 %."""
 
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass along the hand. snapshot: at seven eighths of the path, on places_m both ways; displacement_m and
-    velocity_m_s: at RECEPTORS_m and times_s, silence after it included, shape (t, 33); end_s: of the path"""
+    """One pass along the hand. snapshot: at seven eighths of the path, at places_m along both axes; displacement_m and
+    velocity_m_s: at RECEPTORS_m and times_s, including the silence after it, shape (t, 33); end_s: of the path"""
 
     places_m: Float
     snapshot: Float
@@ -55,7 +55,7 @@ class Pass:
 
 
 def hand_course(along: float, level: int, *, back: bool = False) -> Course:
-    """16 cm of a zigzag 2 cm wide, samples half a millisecond apart and less; back: the same path the other way."""
+    """Return 16 cm of a zigzag 2 cm wide, samples at most 0.5 ms apart; back: reversed path."""
     corners = zigzag_corners(PATH_m, WIDTH_m, along, ACROSS_m_s)
     corners = corners[::-1] if back else corners
     seconds = PATH_m / along
@@ -64,14 +64,14 @@ def hand_course(along: float, level: int, *, back: bool = False) -> Course:
 
 
 def own_mirror(along: float) -> bool:
-    """Whether the path run back is the path mirrored in x, and perhaps in y, which the receptors don't notice."""
+    """Return whether the reversed path is the path mirrored in x, and possibly in y, equal for receptors."""
     ahead = np.array(hand_course(along, QUICK).corners)
     return any(np.allclose(ahead[::-1], ahead * (-1.0, sign), atol=1e-9) for sign in (1.0, -1.0))
 
 
 @cache
 def passed(plate: Plate, along: float, level: int, device: str, *, back: bool = False) -> Pass:
-    """A pass at a speed along the path; back: of which the snapshot is not to be used."""
+    """Return a pass at a speed along the path; with back its snapshot must not be used."""
     if back and own_mirror(along):
         ahead = passed(plate, along, level, device)
         return replace(ahead, displacement_m=ahead.displacement_m[:, ::-1], velocity_m_s=ahead.velocity_m_s[:, ::-1])
@@ -84,14 +84,14 @@ def passed(plate: Plate, along: float, level: int, device: str, *, back: bool = 
 
 
 def wake_cm(one: Pass) -> float:
-    """The 10 % wake of [metrics.wake_length] on the hand [cm]."""
+    """Return the 10 % wake of [metrics.wake_length] on the hand [cm]."""
     return 100.0 * wake_length(
         one.snapshot, one.places_m, one.places_m, focus_x_m=PATH_m * 0.375, threshold=0.1, lateral_m=LATERAL_m
     )
 
 
 def wakes_cm(setting: Setting, level: int, speeds: tuple[float, ...] = SPEEDS, **changes: Any) -> dict[float, float]:
-    """By speed [cm]."""
+    """Return wakes by speed [cm]."""
     return {v: wake_cm(passed(tissue_of(setting, **changes), v, level, setting.device)) for v in speeds}
 
 
@@ -130,8 +130,8 @@ def _long(**changes: Any) -> Callable[[Setting], Answer]:
 
 
 def near_lines(one: Pass) -> float:
-    """Share of the power of normal velocity on the axis, 10 to 1000 Hz, within a quarter of CROSSINGS_Hz from its
-    multiples; mean power of the places."""
+    """Return the fraction of power of normal velocity on the axis, 10 to 1000 Hz, within a quarter of CROSSINGS_Hz
+    from its multiples; power is the mean over positions."""
     spectra = [amplitude_spectrum(one.times_s, place, taper="none") for place in one.velocity_m_s.T]
     f, power = spectra[0][0], np.sum([amplitude**2 for _, amplitude in spectra], axis=0)
     power = np.where((f >= BAND_Hz[0]) & (f <= BAND_Hz[1]), power, 0.0)
@@ -156,7 +156,7 @@ def _concentrated(**changes: Any) -> Callable[[Setting], Answer]:
 
 
 def local_displacement(along: float, level: int, *, back: bool = False) -> tuple[Float, Float]:
-    """A skin that doesn't propagate: each receptor moves as the pressure on it, in any unit. Times [s], (t, 33)."""
+    """Return times [s] and motion (t, 33) of skin without waves: receptors move as the pressure, in any unit."""
     course = hand_course(along, level, back=back)
     times, spot, end = sampled(course)
     places = np.stack([np.interp(times, spot.times_s, spot.centres()[:, n]) for n in range(2)], axis=1)
@@ -166,7 +166,7 @@ def local_displacement(along: float, level: int, *, back: bool = False) -> tuple
 
 
 def repeated(times: Float, motion: Float, end_s: float) -> tuple[Float, Float]:
-    """Passes one after the other for as long as one takes at the slowest speed; motions add, the skin is linear."""
+    """Repeat passes for the duration of a pass at the slowest speed; motions add, because the skin is linear."""
     step = float(times[1] - times[0])
     count, shift = max(1, round(PATH_m / FELT[0] / end_s)), round(end_s / step)
     result = np.zeros(((count - 1) * shift + len(times), motion.shape[1]))
@@ -176,7 +176,7 @@ def repeated(times: Float, motion: Float, end_s: float) -> tuple[Float, Float]:
 
 
 def apart(times: Float, motions: tuple[Float, Float], integration_s: float) -> float:
-    """Separation of the directions, on one path: on a mirrored zigzag the places alone would tell them."""
+    """Return the separation of directions on one path, because positions alone would distinguish a mirrored zigzag."""
     there, back = (
         level_course(times, motion, OBSERVERS["afferent_human"], integration_s=integration_s) for motion in motions
     )
@@ -187,7 +187,7 @@ def apart(times: Float, motions: tuple[Float, Float], integration_s: float) -> f
 def separations(
     plate: Plate | None, level: int, device: str, *, same_duration: bool, integration_s: float
 ) -> dict[float, float]:
-    """By speed. plate: None for the skin that doesn't propagate"""
+    """Return separations by speed. plate: None for skin without waves"""
     found = {}
     for v in FELT:
         if plate is None:
@@ -211,7 +211,7 @@ def accuracies(
     integration_s: float = INTEGRATION_s,
     easy: float = EASY,
 ) -> dict[float, float]:
-    """Expected share of right answers by speed [%].
+    """Return the expected fraction of right answers by speed [%].
 
     The noise is fitted on the same skin with single passes at 0.5 and 1 m/s, and kept for repeated ones.
     """
@@ -222,7 +222,7 @@ def accuracies(
 
 
 def conditions(setting: Setting, level: int, **changes: Any) -> dict[str, dict[float, float]]:
-    """Accuracy by speed on waves and on skin that doesn't propagate, single passes and repeated ones."""
+    """Return accuracy by speed on skin with and without waves, for single and repeated passes."""
     plate = tissue_of(setting, **changes)
     return {
         f"{skin}, {duration}": accuracies(one, level, setting.device, same_duration=same)
@@ -232,8 +232,8 @@ def conditions(setting: Setting, level: int, **changes: Any) -> dict[str, dict[f
 
 
 def observer_counts(of: dict[str, dict[float, float]]) -> bool:
-    """Whether the observer says anything of waves: at chance at 4, 7 and 11 m/s on waves, and not at chance there on
-    skin that doesn't propagate with the duration held constant."""
+    """Return whether the observer depends on waves: at chance at 4, 7 and 11 m/s with waves, and not at chance there on
+    skin without waves for constant duration."""
     fast = (4.0, 7.0, 11.0)
     on_waves = all(abs(of["waves, one pass"][v] - 50.0) <= CHANCE for v in fast)
     without = all(abs(of["no propagation, repeated for 320 ms"][v] - 50.0) > CHANCE for v in fast)
@@ -299,5 +299,5 @@ VARIED: dict[str, Callable[..., Callable[[Setting], Answer]]] = {
     "R19c": lambda **changes: _chance(11.0, **changes),
     "R19d": _falls,
 }
-"""Answers with changed fields of the slab, to look for causes."""
+"""Answers with changed fields of the slab, to find causes."""
 ANSWERS = {**{name: make() for name, make in VARIED.items()}, "R19k": _duration(0.5), "R19l": _duration(11.0)}

@@ -31,29 +31,29 @@ from palmfield_papers.reardon2023.configuration import (
     plate_of,
     threshold_of,
 )
-from palmfield_papers.reardon2023.held import answered, level_of
+from palmfield_papers.reardon2023.resolution import answered, level_of
 from palmfield_papers.reardon2023.runs import GRID_m, Straight, focus_at, run, straight
 
 PATH_m = 0.16
 LATERAL_m = 0.1
 STRIP_m = 0.006
 FAST = (5.0, 7.0, 10.0, 20.0)
-"""To which the change of the energies from a slow focus is taken."""
+"""Speeds for the change of energies relative to a slow focus [m/s]."""
 AROUND_m = 0.1
-"""Of the focus, where fields of control rates are compared."""
+"""Radius about the focus in which fields of control rates are compared [m]."""
 FOCUS_AT_m = 0.12
 RIDGE_deg = math.degrees(0.5 * GRID_m / 0.04)
-"""Half a place of the grid in the middle of the ridge that is fitted, 20 to 60 mm behind the focus."""
+"""Angle of half a grid step in the middle of the fitted ridge, 20 to 60 mm behind the focus."""
 
 
 def seen(setting: Setting, level: int, speed: float, length: float | None = None, **changes: Any) -> Straight:
-    """The straight run under a setting; `length` where the entry's readings don't say."""
+    """Return the straight run under a setting; length: of the path if no reading gives it."""
     way = length_of(setting) if length is None else length
     return straight(plate_of(setting, **changes), speed, way, level, setting.device)
 
 
 def wake_cm(one: Straight, threshold: float) -> float:
-    """The wake of [metrics.wake_length] [cm]."""
+    """Return the wake of [metrics.wake_length] [cm]."""
     return 100.0 * wake_length(
         one.at_seven_eighths, one.places_m, one.places_m, focus_x_m=one.focus_x(0.875), threshold=threshold,
         lateral_m=LATERAL_m,
@@ -61,12 +61,12 @@ def wake_cm(one: Straight, threshold: float) -> float:
 
 
 def area_cm2(one: Straight, threshold: float) -> float:
-    """The area of [metrics.wake_area] [cm^2]."""
+    """Return the area of [metrics.wake_area] [cm^2]."""
     return 1e4 * wake_area(one.at_seven_eighths, one.places_m, one.places_m, threshold=threshold)
 
 
 def angle_deg(one: Straight) -> float:
-    """The half-angle of [metrics.mach_angle] [deg]."""
+    """Return the half-angle of [metrics.mach_angle] [deg]."""
     return mach_angle(one.at_12_cm, one.places_m, one.places_m, focus_x_m=FOCUS_AT_m - 0.5 * one.length_m)
 
 
@@ -76,12 +76,12 @@ def _inside(one: Straight) -> Any:
 
 
 def ratio_of(one: Straight, over: Any = "outside") -> float:
-    """Focal energy ratio: energy in the strip over all else, or over the total."""
+    """Return the focal energy ratio: energy in the strip over that outside, or over the total."""
     return focal_energy_ratio(one.energy, one.places_m, one.places_m, _inside(one), over=over)
 
 
 def residual(one: Straight) -> float:
-    """Average residual energy; over the square round the slab, so that it is the slab's times their areas' ratio."""
+    """Return the average residual energy over the square around the slab: that of the slab times the ratio of areas."""
     square = average_residual_energy(one.energy, one.places_m, one.places_m, _inside(one))
     return square * (2.0 * RADIUS_m) ** 2 / (math.pi * RADIUS_m**2)
 
@@ -102,7 +102,7 @@ def wake_by_viscosity(viscosity: float) -> Callable[[Setting], Answer]:
 
 
 def amplitudes(setting: Setting, level: int, **changes: Any) -> dict[float, float]:
-    """Largest velocity in the second half of the path by speed [m/s]."""
+    """Return the largest velocity in the second half of the path by speed [m/s]."""
     return {speed: seen(setting, level, speed, PATH_m, **changes).largest for speed in (3.0, 5.0, 7.0, 10.0)}
 
 
@@ -125,7 +125,7 @@ def _smallest_when_slow(**changes: Any) -> Callable[[Setting], Answer]:
         return of[3.0] / min(of[5.0], of[7.0], of[10.0])
 
     def answer(setting: Setting) -> Answer:
-        # Less than 1: as large would not do
+        # Less than 1, because equality is not sufficient
         return answered(number, setting, changes=changes, margin=lambda value: 1.0 - value - 1e-9)
 
     return answer
@@ -149,19 +149,19 @@ def _angle(speed: float, **changes: Any) -> Callable[[Setting], Answer]:
 
 
 def strongest_mode(plate: Plate, wavenumber: float) -> float:
-    """Angular frequency [rad/s] of the mode that answers a sudden pressure of a wavenumber [rad/m] by most velocity."""
+    """Return the angular frequency [rad/s] of the mode with the largest velocity after a pressure step."""
     modes = face_modes(depth_problem(plate.slab, wavenumber, (30,)), 0.05, 1e-4)
     moving = modes.poles.imag > 1.0
     part = np.abs(modes.normal[moving])
-    # Of pressure waves across the slab the velocity is not the question: they are over a hundred times as fast
+    # Pressure waves across the slab are excluded: they are over a hundred times as fast
     slow = modes.poles.imag[moving] < 4.0 * plate.shear_speed_m_s * max(wavenumber, math.pi / plate.thickness_m)
     return float(modes.poles.imag[moving][slow][part[slow].argmax()])
 
 
 def own_curve_deg(one: Straight, plate: Plate, speed: float) -> tuple[float, float]:
-    """Angle asin(c/v) of our own dispersion curve [deg], and the wavenumber of the snapshot at which it is taken.
+    """Return the angle asin(c/v) of our dispersion curve [deg], and the wavenumber of the snapshot.
 
-    The wavenumber is the mean of the snapshot's spectrum by power behind the focus, c the phase speed of the mode that
+    The wavenumber is the power-weighted mean of the spectrum behind the focus, c the phase speed of the mode that
     a pressure of that wavenumber excites most.
     """
     behind = one.at_12_cm[one.places_m < FOCUS_AT_m - 0.5 * one.length_m - 0.01]
@@ -178,7 +178,7 @@ def _angle_at_seven(setting: Setting, level: int) -> float:
 
 
 def own_angle(setting: Setting) -> Answer:
-    """R7c: held against our own curve."""
+    """R7c: compared with our dispersion curve."""
     one = seen(setting, level_of(setting), 7.0, PATH_m)
     curve, k = own_curve_deg(one, plate_of(setting), 7.0)
     note = f"the phase speed of the strongest mode at {k:.0f} rad/m, the mean of the snapshot, gives {curve:.1f} deg"
@@ -209,7 +209,7 @@ def _wake_at_seven(**changes: Any) -> Callable[[Setting], Answer]:
 
 
 def areas(setting: Setting, level: int, **changes: Any) -> dict[float, float]:
-    """By speed [cm^2]."""
+    """Return areas by speed [cm^2]."""
     return {v: area_cm2(seen(setting, level, v, **changes), threshold_of(setting)) for v in (5.0, 7.0, 10.0)}
 
 
@@ -231,14 +231,14 @@ def _area(**changes: Any) -> Callable[[Setting], Answer]:
 
 
 def reference_m_s(setting: Setting) -> float:
-    """The slow focus from which changes are taken."""
+    """Return the speed of the slow reference focus [m/s]."""
     return float(setting.reading("reardon_reference").split()[0])
 
 
 def energy_changes(
     setting: Setting, level: int, what: Callable[[Straight], float], **changes: Any
 ) -> dict[float, float]:
-    """Change from the reference to each fast speed [%]."""
+    """Return the change from the reference to each fast speed [%]."""
     slow = what(seen(setting, level, reference_m_s(setting), **changes))
     return {v: 100.0 * (what(seen(setting, level, v, **changes)) / slow - 1.0) for v in FAST}
 
@@ -273,8 +273,8 @@ def _residual(**changes: Any) -> Callable[[Setting], Answer]:
 
 @cache
 def held_snapshot(plate: Plate, rate_Hz: float | None, delay_s: float, level: int, device: str) -> tuple[Float, Float]:
-    """Places and the velocity at 7 m/s after 12 cm of a path of 16 cm; rate_Hz None: the focus moves on, and is looked
-    at delay_s after that moment."""
+    """Return positions and velocity at 7 m/s after 12 cm of a path of 16 cm; rate_Hz None: continuous motion, evaluated
+    delay_s after that moment."""
     course = Course(((-0.08, 0.0), (0.08, 0.0)), 7.0, 16, rate_Hz=rate_Hz)
     motion = run(plate, course, level, device, np.array([FOCUS_AT_m / 7.0 + delay_s]))
     return motion.places_m, motion.velocity[0].astype(float)
@@ -284,7 +284,7 @@ REFERENCE_Hz = 2e5
 
 
 def _compared(places: Float, one: Float, other: Float) -> float:
-    """Of [metrics.wave_field_difference]."""
+    """Return [metrics.wave_field_difference]."""
     focus = focus_at(Course(((-0.08, 0.0), (0.08, 0.0)), 7.0, 16), FOCUS_AT_m / 7.0)
     x, y = np.meshgrid(places - focus[0], places - focus[1], indexing="ij")
     near = np.hypot(x, y) <= AROUND_m
@@ -292,21 +292,22 @@ def _compared(places: Float, one: Float, other: Float) -> float:
 
 
 def rate_difference(plate: Plate, rate_Hz: float, level: int, device: str) -> float:
-    """Of the field at a control rate from that at 200 kHz, at the same moment.
+    """Return the difference of the field at a control rate from that at 200 kHz, at the same time.
 
-    200 kHz is a focus that moves on, half a control step later: to (k v / f)^2/24 of its waves, 1e-4 at 1000 rad/m.
+    200 kHz is represented by continuous motion delayed by half a control step: error (k v / f)^2/24, 1e-4 at 1000
+    rad/m.
     """
-    places, held = held_snapshot(plate, rate_Hz, 0.0, level, device)
+    places, stepped = held_snapshot(plate, rate_Hz, 0.0, level, device)
     _, fine = held_snapshot(plate, None, -0.5 / REFERENCE_Hz, level, device)
-    return _compared(places, held, fine)
+    return _compared(places, stepped, fine)
 
 
 def late_difference(plate: Plate, rate_Hz: float, level: int, device: str) -> tuple[float, float]:
-    """The same against a focus that moves on and is late by half the control step, as the held one is on average: its
-    field half a step earlier, moved along by nothing; and the likeness (SSIM) of both fields."""
-    places, held = held_snapshot(plate, rate_Hz, 0.0, level, device)
+    """Return the difference from a continuously moving focus delayed by half a control step (the mean delay of the held
+    focus), evaluated half a step earlier without shift, and the likeness (SSIM) of both fields."""
+    places, stepped = held_snapshot(plate, rate_Hz, 0.0, level, device)
     _, late = held_snapshot(plate, None, -0.5 / rate_Hz, level, device)
-    return _compared(places, held, late), ssim(held, late, data_range=2.0)
+    return _compared(places, stepped, late), ssim(stepped, late, data_range=2.0)
 
 
 def _rate(rate_Hz: float, **changes: Any) -> Callable[[Setting], Answer]:
@@ -322,7 +323,7 @@ def _rate(rate_Hz: float, **changes: Any) -> Callable[[Setting], Answer]:
 
 
 def late_rate(rate_Hz: float) -> Callable[[Setting], Answer]:
-    """The same difference from a focus that is half a step late, the mean delay of the held one."""
+    """Return the answer of `late_difference` at a control rate."""
 
     def answer(setting: Setting) -> Answer:
         late, _ = late_difference(plate_of(setting), rate_Hz, level_of(setting), setting.device)
@@ -342,7 +343,7 @@ def spatial_step(rate_Hz: float) -> Callable[[Setting], Answer]:
 
 
 def likeness_of_nulls(setting: Setting) -> dict[str, tuple[float, float]]:
-    """MSE and SSIM of energy densities that ought to be alike or not: for the notes."""
+    """Return MSE and SSIM of energy densities that should be similar or different, for the notes."""
     from palmfield.metrics import mse
 
     level = level_of(setting)
@@ -398,4 +399,4 @@ VARIED = {
     "R12j": lambda **changes: _rate(1400.0, **changes),
     "R12k": lambda **changes: _rate(4200.0, **changes),
 }
-"""Answers with changed fields of the slab, to look for causes."""
+"""Answers with changed fields of the slab, to find causes."""

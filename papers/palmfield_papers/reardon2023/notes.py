@@ -1,10 +1,10 @@
-"""What stands below the tables of Reardon's page."""
+"""Write the notes below the tables of Reardon's page."""
 
 from palmfield_papers.answer import Setting
 from palmfield_papers.reardon2023.configuration import Plate
 from palmfield_papers.reardon2023.hand import FELT, conditions, observer_counts
-from palmfield_papers.reardon2023.held import level_of
 from palmfield_papers.reardon2023.lines import likeness_of_nulls
+from palmfield_papers.reardon2023.resolution import level_of
 
 CHOSEN = """## What was chosen where the file leaves room
 
@@ -57,7 +57,7 @@ def _accuracy_table(setting: Setting) -> list[str]:
 
 
 def notes(setting: Setting) -> str:
-    """Markdown: what was chosen, null pairs of the metrics, the controls of the observer, hypotheses."""
+    """Return Markdown: choices, null pairs of the metrics, the controls of the observer, hypotheses."""
     base = Plate()
     nulls = likeness_of_nulls(setting)
     lines = [

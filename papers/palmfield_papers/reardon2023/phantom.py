@@ -9,46 +9,46 @@ from palmfield.metrics import amplitude_spectrum, spectral_centroid, wake_length
 from palmfield.types import Float
 from palmfield_papers.answer import Answer, Setting
 from palmfield_papers.reardon2023.configuration import length_of, plate_of
-from palmfield_papers.reardon2023.held import answered, level_of
 from palmfield_papers.reardon2023.lines import LATERAL_m, seen, wake_cm
+from palmfield_papers.reardon2023.resolution import answered, level_of
 from palmfield_papers.reardon2023.runs import Straight
 
 SCAN_X_m = 5e-3 * np.arange(-20, 20)
 SCAN_Y_m = 5e-3 * np.arange(-14, 16)
-"""40 by 30 places 5 mm apart, one row of them on the path."""
+"""Rows of the scan of 40 by 30 points 5 mm apart; one row is on the path."""
 BAND_Hz = (10.0, 1000.0)
 SPEEDS = (2.0, 4.0, 7.0, 11.0, 15.0)
 
 
 def scanned(one: Straight) -> Float:
-    """The snapshot at seven eighths of the path on the scan grid, shape (40, 30)."""
+    """Return the snapshot at seven eighths of the path on the scan grid, shape (40, 30)."""
     rows, columns = (np.abs(one.places_m[:, None] - scan).argmin(axis=0) for scan in (SCAN_X_m, SCAN_Y_m))
     return one.at_seven_eighths[np.ix_(rows, columns)]
 
 
 def scanned_wake_cm(one: Straight) -> float:
-    """The 10 % wake of [metrics.wake_length] on the scan grid [cm]."""
+    """Return the 10 % wake of [metrics.wake_length] on the scan grid [cm]."""
     return 100.0 * wake_length(
         scanned(one), SCAN_X_m, SCAN_Y_m, focus_x_m=one.focus_x(0.875), threshold=0.1, lateral_m=LATERAL_m
     )
 
 
 def _tracks(one: Straight) -> Float:
-    """Velocities at the scan's places on the middle half of the path, shape (k, t)."""
+    """Return velocities at the points of the scan on the middle half of the path, shape (k, t)."""
     inside = np.abs(one.places_m) <= 0.25 * one.length_m * (1.0 + 1e-9)
     places = one.places_m[inside]
     on_grid = np.abs(places / 5e-3 - np.round(places / 5e-3)) < 1e-6
-    # A record of whole samples from the start to the end of the path
+    # A record with whole samples from the start to the end of the path
     return one.track[:, on_grid].T
 
 
 def centroid_Hz(one: Straight) -> float:
-    """[metrics.spectral_centroid]: mean over the places [Hz]."""
+    """Return [metrics.spectral_centroid], mean over positions [Hz]."""
     return float(np.mean([spectral_centroid(one.times_s, track, BAND_Hz) for track in _tracks(one)]))
 
 
 def width_Hz(one: Straight) -> float:
-    """Root of the mean square distance from the centroid by power, mean over the places of `centroid_Hz` [Hz]."""
+    """Return the power-weighted rms distance from the centroid, mean over the positions of `centroid_Hz` [Hz]."""
     found = []
     for track in _tracks(one):
         frequency, amplitude = amplitude_spectrum(one.times_s, track, taper="none")
@@ -81,7 +81,7 @@ def _short(**changes: Any) -> Callable[[Setting], Answer]:
 
     def answer(setting: Setting) -> Answer:
         fine = wake_cm(seen(setting, level_of(setting), 2.0, **changes), 0.1)
-        # Less than 6: a wake of just that would not do
+        # Less than 6, because equality is not sufficient
         return answered(
             number, setting, changes=changes, margin=lambda v: 6.0 - v - 1e-9, shown={"on a grid of 1 mm [cm]": fine}
         )
@@ -111,5 +111,5 @@ VARIED: dict[str, Callable[..., Callable[[Setting], Answer]]] = {
     "R20d": lambda **changes: _rises(centroid_Hz, **changes),
     "R20e": lambda **changes: _rises(width_Hz, **changes),
 }
-"""Answers with changed fields of the slab, to look for causes."""
+"""Answers with changed fields of the slab, to find causes."""
 ANSWERS = {name: make() for name, make in VARIED.items()}

@@ -1,4 +1,4 @@
-"""The paper's figures from our own fields."""
+"""Draw the figures of the paper from our fields."""
 
 from typing import Any
 
@@ -11,17 +11,17 @@ from palmfield.types import Float
 from palmfield_papers.answer import Picture, Setting
 from palmfield_papers.reardon2023 import figures, hand, lines
 from palmfield_papers.reardon2023.configuration import DEEP, Plate, RADIUS_m, tissue_of
-from palmfield_papers.reardon2023.held import level_of
 from palmfield_papers.reardon2023.phantom import SPEEDS, centroid_Hz, scanned_wake_cm
+from palmfield_papers.reardon2023.resolution import level_of
 from palmfield_papers.reardon2023.runs import straight
 
 TWO = {"free, 0.02 Pa s": Plate(), "bonded, 1 Pa s": Plate(back="bonded", viscosity_Pa_s=1.0)}
-"""The base and the reading beside it in the figures."""
+"""The base and the other reading in the figures."""
 MACH = {3.0: "M = 0.6", 5.0: "M = 1", 7.0: "M = 1.4", 10.0: "M = 2"}
 
 
 def _map(axes: Axes, places: Float, values: Float, *, signed: bool, half_m: float = RADIUS_m) -> None:
-    """A map with millimetres along its axes, over its own largest magnitude."""
+    """Draw a map relative to its largest magnitude, with axes in millimetres."""
     shown = np.abs(places) <= half_m * (1.0 + 1e-9)
     part = values[np.ix_(shown, shown)] / np.abs(values).max()
     end = 1e2 * places[shown][-1]
@@ -121,7 +121,7 @@ def closed(setting: Setting) -> Figure:
 def _places(
     setting: Setting, of: Any, size: float, speeds: tuple[float, ...], profile: Any, place: Any, labels: tuple[str, str]
 ) -> tuple[Figure, Any, Any]:
-    """By slab: a profile at the first of some speeds, and the place of its largest at all [mm]."""
+    """Return by slab a profile at the first speed, and the position of its maximum at all speeds [mm]."""
     figure = Figure(figsize=(8.6, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     for (name, plate), colour, line in zip((TWO | {"60 mm deep": Plate(**DEEP)}).items(), COLOURS, LINES, strict=False):
@@ -137,7 +137,7 @@ def _places(
 
 
 def square_place(setting: Setting) -> Figure:
-    """R13c: the largest rms velocity of the square at each distance inside its path, and where that of all is."""
+    """R13c: the largest rms velocity of the square by distance inside its path, and the position of the maximum."""
 
     def profile(drawn: figures.Drawn) -> tuple[Float, Float]:
         across, at = 1e3 * np.abs(drawn.places_m), np.arange(-10.0, 16.0)

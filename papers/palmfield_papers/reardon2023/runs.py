@@ -1,4 +1,4 @@
-"""Runs of the slab, kept by what they depend on, and what all answers take from them."""
+"""Run the slab, with results cached by inputs, and compute quantities for all answers."""
 
 import math
 from dataclasses import dataclass
@@ -16,33 +16,33 @@ from palmfield_papers.reardon2023.configuration import PASCAL, Course, Plate, RA
 COARSE, QUICK, FULL, FINER = range(4)
 """Levels: the answers are of QUICK or FULL, their errors from COARSE or FINER."""
 TOLERANCE = {COARSE: 5e-2, QUICK: 2e-2, FULL: 1e-2, FINER: 3e-3}
-"""Of the cut of short waves."""
+"""Tolerance of the truncation of short waves."""
 MODES = {COARSE: 2e-2, QUICK: 2e-2, FULL: 1e-2, FINER: 3e-3}
-"""Of their modes in depth, which COARSE and QUICK share."""
+"""Tolerance of modes in depth, equal for COARSE and QUICK."""
 FRONTS = {COARSE: 0.7, QUICK: 1.0, FULL: 1.6}
-"""Speed of the fastest waves of which the repeated loads must not be noticed, over the shear speed. On a free slab the
-fastest run at twice the shear speed and carry little; on a bonded one none outruns it."""
+"""Speed of the fastest waves of repeated loads that must not arrive, relative to the shear speed. On a free slab the
+fastest waves have twice the shear speed and little energy; on a bonded one no wave is faster than shear."""
 PERIODS_m = {COARSE: (0.35, 0.7), QUICK: (0.35, 0.7), FULL: (0.4, 0.8)}
-"""Of lattices, each of which holds the waves of the one before. Runs too long for the last hear of repeated loads."""
+"""Periods of lattices, each with the waves of the one before. In very long runs waves of repeated loads arrive."""
 LOSSY_Pa_s, PERIOD_OF_LOSSY_m = 1.0, 0.5
-"""In quick runs, of bonded slabs with such losses: with 0.5 for 0.8 m the hand's passes at 2, 7 and 11 m/s change by
+"""Period in quick runs of bonded slabs with such losses: with 0.5 instead of 0.8 m passes at 2, 7 and 11 m/s change by
 0.1 % of the largest velocity and less."""
 OTHER_PERIOD, WIDEST_m = 1.5, 1.2
-"""What FINER multiplies the period of FULL by, and its widest, so that the period shows in the error."""
+"""Factor of the period in FINER relative to FULL, and its largest value, so that the error includes the period."""
 SPACING_m = {COARSE: 4e-3, QUICK: 3e-3, FULL: 1.5e-3, FINER: 1e-3}
-"""Way of the focus between two samples, at most."""
+"""Largest distance of the focus between two samples [m]."""
 LONGEST_s = {COARSE: 5e-4, QUICK: 4e-4, FULL: 2.5e-4, FINER: 2e-4}
-"""Time between two samples of a straight run, at most: spectra are looked at up to 1 kHz."""
+"""Longest time between two samples of a straight run [s], for spectra up to 1 kHz."""
 DEPTH_m_s = {COARSE: 11.0, QUICK: 11.0, FULL: 11.0, FINER: 20.0}
-"""Speed for which modes in depth are fine enough, whatever the focus has: at 20 m/s 11 changes energies by 1e-4."""
+"""Speed for which modes in depth are resolved, for any focus; at 20 m/s a value of 11 changes energies by 1e-4."""
 GRID_m = 1e-3
 BLOCK = 64
-"""Rows of a map whose energy is computed at a time."""
+"""Number of rows of a map whose energy is computed together."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What a run gave: normal velocity of the face [m/s], shape (t, n, n), at times [s] on places [m] both ways; 0 off
+    """Result of a run: normal velocity of the face [m/s], shape (t, n, n), at times [s] and positions [m]; 0 outside
     the slab."""
 
     times_s: Float
@@ -50,17 +50,17 @@ class Motion:
     velocity: Float32
 
     def energy(self) -> Float:
-        """Energy density of `palmfield.metrics` over the samples [m^2/s^2], shape (n, n)."""
+        """Return the energy density of `palmfield.metrics` over the samples [m^2/s^2], shape (n, n)."""
         parts = range(0, len(self.places_m), BLOCK)
         return np.concatenate([energy_density(self.times_s, self.velocity[:, n : n + BLOCK]) for n in parts])
 
     def largest(self, first: int = 0) -> float:
-        """Largest magnitude from a sample on [m/s]."""
+        """Return the largest magnitude from a sample on [m/s]."""
         return float(np.abs(self.velocity[first:]).max())
 
 
 def period_for(plate: Plate, seconds: float, level: int) -> float:
-    """Period of the lattice for a run of so many seconds [m]."""
+    """Return the period of the lattice for a run of a duration [m]."""
     if level == FINER:
         return min(OTHER_PERIOD * period_for(plate, seconds, FULL), WIDEST_m)
     if level < FULL and plate.back == "bonded" and plate.viscosity_Pa_s >= LOSSY_Pa_s:
@@ -71,7 +71,7 @@ def period_for(plate: Plate, seconds: float, level: int) -> float:
 
 @lru_cache(maxsize=8)
 def endless(plate: Plate, period_m: float, level: int) -> PeriodicSlab:
-    """The endless slab's waves."""
+    """Return the waves of the infinite slab."""
     return PeriodicSlab(
         plate.slab,
         plate.fwhm_m,
@@ -85,7 +85,7 @@ def endless(plate: Plate, period_m: float, level: int) -> PeriodicSlab:
 
 @lru_cache(maxsize=4)
 def walled(plate: Plate, level: int) -> WalledDisc:
-    """The waves of the slab within its rim."""
+    """Return the waves of the slab within its rim."""
     return WalledDisc(
         plate.slab,
         plate.fwhm_m,
@@ -97,7 +97,7 @@ def walled(plate: Plate, level: int) -> WalledDisc:
 
 
 def sampled(course: Course) -> tuple[Float, Spot, float]:
-    """Times of the samples [s], without the start; the spot, of width 1 m, that runs the course; its end [s]."""
+    """Return times of the samples [s] without the start, the moving spot (width 1 m), and the end of its path [s]."""
     corners = np.array(course.corners)
     way = np.vstack([corners, *[corners[1:]] * (course.turns - 1)])
     arcs = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))]) / course.speed_m_s
@@ -117,7 +117,7 @@ def sampled(course: Course) -> tuple[Float, Spot, float]:
 
 
 def focus_at(course: Course, seconds: float) -> Float:
-    """Where a focus that moves on is [m], shape (2,)."""
+    """Return the position of a continuously moving focus [m], shape (2,)."""
     corners = np.array(course.corners)
     arcs = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     way = seconds * course.speed_m_s
@@ -126,7 +126,7 @@ def focus_at(course: Course, seconds: float) -> Float:
 
 
 def run(plate: Plate, course: Course, level: int, device: str, times_s: Float | None = None) -> Motion:
-    """The motion at the course's samples, or at other times [s]. Not kept: it is large."""
+    """Return the motion at the samples of the course, or at other times [s]. It is not cached, because it is large."""
     times, spot = _asked(plate, course, times_s)
     if plate.rim == "reflecting":
         disc = walled(plate, level)
@@ -141,7 +141,7 @@ def run(plate: Plate, course: Course, level: int, device: str, times_s: Float | 
 
 
 def line_run(plate: Plate, course: Course, level: int, device: str, snapshot: int) -> tuple[Motion, Float32]:
-    """The motion of an endless slab at one of the course's samples, and along y = 0 at all of them, shape (t, n)."""
+    """Return the motion of an infinite slab at one sample, and along y = 0 at all samples, shape (t, n)."""
     times, spot = _asked(plate, course, None)
     slab, cells = _lattice(plate, float(times[-1]), level)
     places = slab.places(RADIUS_m, cells)
@@ -152,13 +152,13 @@ def line_run(plate: Plate, course: Course, level: int, device: str, snapshot: in
 
 
 def _asked(plate: Plate, course: Course, times_s: Float | None) -> tuple[Float, Spot]:
-    """Times of the answer and the spot of the plate's width."""
+    """Return the times of the result, and the spot with the width of the plate."""
     times, load, end = sampled(course)
     ends, peaks, centres = load.times_s, load.peak_Pa, load.centres()
     if course.still_after_s > 0.0:
         if course.rate_Hz is not None:
             raise ValueError("a focus that holds between moves is not followed by silence here")
-        # A line to nothing that takes a microsecond
+        # A line to level 0 within a microsecond
         ends = np.append(ends, end + 1e-6)
         peaks, centres = np.append(peaks, 0.0), np.vstack([centres, centres[-1:]])
     return times if times_s is None else times_s, Spot(plate.fwhm_m, ends, peaks, centres, load.law)
@@ -170,17 +170,17 @@ def _lattice(plate: Plate, seconds: float, level: int) -> tuple[PeriodicSlab, in
 
 
 def _off(places: Float) -> NDArray[np.bool_]:
-    """Places of the square that are off the slab."""
+    """Return which points of the square are outside the slab."""
     return np.asarray(np.hypot(*np.meshgrid(places, places, indexing="ij")) > RADIUS_m * (1.0 + 1e-9))
 
 
 @dataclass(frozen=True)
 class Straight:
-    """What answers take of a straight run along +x. Maps are on places_m both ways [m], shape (n, n).
+    """Quantities of a straight run along +x. Maps are at places_m along both axes [m], shape (n, n).
 
     length_m: of the path, centred; energy: of the whole run; at_12_cm, at_seven_eighths: snapshots of the normal
-    velocity when the focus has run so far; largest: magnitude in the second half of the path; end_s: of the path
-    track: velocity at times_s on the grid's places of the path's middle half, shape (t, k)
+    velocity when the focus is there; largest: magnitude in the second half of the path; end_s: of the path
+    track: velocity at times_s at grid points of the middle half of the path, shape (t, k)
     """
 
     length_m: float
@@ -194,21 +194,21 @@ class Straight:
     track: Float
 
     def focus_x(self, share: float) -> float:
-        """Where the focus is after a share of the path [m]."""
+        """Return the position of the focus after a fraction of the path [m]."""
         return self.length_m * (share - 0.5)
 
 
 def straight_course(speed_m_s: float, length_m: float, level: int) -> Course:
-    """From -x to +x through the middle; samples at most half a millisecond apart."""
+    """Return a path from -x to +x through the centre, with samples at most 0.5 ms apart."""
     steps = max(length_m / SPACING_m[level], length_m / speed_m_s / LONGEST_s[level])
     half = 0.5 * length_m
-    # 16 cm has its 12 cm, 20 cm its 17.5 among such samples
+    # 12 of 16 cm and 17.5 of 20 cm are among these samples
     return Course(((-half, 0.0), (half, 0.0)), speed_m_s, 40 * math.ceil(steps / 40.0))
 
 
 @cache
 def straight(plate: Plate, speed_m_s: float, length_m: float, level: int, device: str) -> Straight:
-    """A straight run, kept."""
+    """Return a straight run, cached."""
     course = straight_course(speed_m_s, length_m, level)
     motion = run(plate, course, level, device)
     end = length_m / speed_m_s

@@ -1,4 +1,4 @@
-"""From a number at a level of fineness to an answer with its numerical error."""
+"""Compute answers with numerical error from numbers at two levels of resolution."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -10,30 +10,30 @@ from palmfield_papers.entries import book
 from palmfield_papers.reardon2023.runs import COARSE, FINER, FULL, QUICK
 
 Number = Callable[[Setting, int], float]
-"""A number under a setting at a level of fineness (COARSE to FINER)."""
+"""A number under a setting at a level of resolution (COARSE to FINER)."""
 HOW = (
     "error: at the base readings, to finer waves, samples and another period (quick: to coarser ones, same period, and "
     "at least 3 %), under other ones the larger of the same and the same share"
 )
 QUICK_LEAST = 0.03
-"""Of a quick run's numbers: they differed from the full run's by up to 2.8 %, where the coarser run, which has the
-period and the modes in depth of the quick one, said 0.1 %."""
+"""Least error of numbers of quick runs: they differed from full runs by up to 2.8 %, although the coarser run, with the
+same period and modes in depth as the quick run, indicated 0.1 %."""
 
 
 def level_of(setting: Setting) -> int:
-    """The level at which a setting's value is computed."""
+    """Return the level at which the value of a setting is computed."""
     return QUICK if setting.quick else FULL
 
 
 def base_of(setting: Setting) -> Setting:
-    """The same axes at their base values, without a control."""
+    """Return the setting with base values of all axes and without a control."""
     axes = book().axes
     return replace(setting, readings=tuple((name, axes[name][0]) for name, _ in setting.readings), control="")
 
 
 @cache
 def _error(number: Number, base: Setting) -> tuple[float, float]:
-    """At the base: in the number's unit, and as a share of it."""
+    """Return the error at the base, in the unit of the number and relative."""
     level = level_of(base)
     value = number(base, level)
     error = abs(value - number(base, COARSE if level == QUICK else FINER))
@@ -43,7 +43,7 @@ def _error(number: Number, base: Setting) -> tuple[float, float]:
 
 
 def _carried(number: Number, setting: Setting, value: float) -> float:
-    """The base's error, carried to a value under other readings."""
+    """Return the error at the base, scaled to a value under other readings."""
     error, share = _error(number, base_of(setting))
     return max(error, share * abs(value))
 
@@ -58,10 +58,10 @@ def answered(
     changes: Mapping[str, Any] | None = None,
     resolution: float = 0.0,
 ) -> Answer:
-    """The number with its error; margin: of the number, for inequalities. number: one function for all settings.
+    """Return the number with its error; margin: of the number, for inequalities. number: one function for all settings.
 
     changes: to the slab, of a possible cause, whose error is not estimated
-    resolution: by how much the grid on which a place is read may move the number, which two runs don't show
+    resolution: error of the number due to the grid of positions, which two runs do not show
     """
     value = number(setting, level_of(setting))
     error, how = (None, "") if changes else (max(_carried(number, setting, value), resolution), HOW)
