@@ -1,4 +1,4 @@
-"""palmfield: from an ultrasonic array's drive to radiation pressure on a hand, skin waves and what is felt.
+"""palmfield: from the drive of an ultrasonic array to radiation pressure on a hand, skin waves and sensation.
 
 import palmfield
 print(palmfield.plan("mjcf/scenes/palm_am200.xml"))
@@ -8,7 +8,7 @@ print(sim.skin().normal_displacement)
 result = palmfield.run("mjcf/scenes/palm_am200.xml", "out/palm")
 print(result.summary)
 
-`dir(palmfield)` lists what is public; the packages below it, such as `palmfield.skin`, list theirs.
+`dir(palmfield)` lists the public names; subpackages such as `palmfield.skin` list theirs.
 """
 
 import logging
@@ -59,7 +59,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # Loaded when asked for: MuJoCo imports this package in every process, and Warp takes half a second.
+    # Loaded at first use, because MuJoCo imports this package in every process, and Warp takes half a second
     if name == "__version__":
         from importlib.metadata import version
 

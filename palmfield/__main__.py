@@ -1,4 +1,4 @@
-"""`python -m palmfield` is the command line."""
+"""Run the command line by `python -m palmfield`."""
 
 from palmfield.cli.app import start
 

@@ -1,6 +1,6 @@
-"""One BLAS thread while small dense products and triangular solves run.
+"""Limit BLAS to one thread for small dense products and triangular solves.
 
-SuperLU asks BLAS for blocks so small that its threads wait for each other: up to 200 times slower than one thread.
+SuperLU calls BLAS for very small blocks, for which several threads are up to 200 times slower than one.
 """
 
 import threading
@@ -13,11 +13,11 @@ from threadpoolctl import ThreadpoolController
 
 
 class OneBlasThread:
-    """A context in which every BLAS of this process uses one thread; it may be nested, and entered by many threads.
+    """A context in which every BLAS of this process uses one thread; it may be nested and used by several threads.
 
-    The number of threads belongs to the whole process, so the first that enters remembers it and the last that leaves
-    restores it: two threads that each restored what they found could leave the process at one thread for ever.
-    threadpoolctl's own contexts take some 40 Python calls each; this one takes two.
+    The number of threads belongs to the whole process: the first thread that enters stores it, and the last that leaves
+    restores it. If each thread restored its own value, the process could remain at one thread. A context of
+    threadpoolctl takes about 40 Python calls; this one takes two.
     """
 
     def __init__(self) -> None:
@@ -27,8 +27,8 @@ class OneBlasThread:
 
     @cached_property
     def _libraries(self) -> list[tuple[Callable[[], int], Callable[[int], Any]]]:
-        """How to read and to set the number of threads of each BLAS."""
-        # SciPy brings a BLAS of its own, which can be found once it is loaded.
+        """Return functions that read and set the number of threads of each BLAS."""
+        # SciPy has its own BLAS, which is found after it is loaded
         import_module("scipy.linalg")
         result = []
         for library in ThreadpoolController().lib_controllers:
@@ -36,7 +36,7 @@ class OneBlasThread:
                 continue
             read: Any = library.get_num_threads
             write: Any = library.set_num_threads
-            # The C functions themselves where they can be had: threadpoolctl's are several Python calls deep.
+            # Use the C functions if available, because those of threadpoolctl take several Python calls
             for prefix, suffix in (("scipy_", "64_"), ("scipy_", ""), ("", "64_"), ("", "")):
                 names = (f"{prefix}openblas_{verb}_num_threads{suffix}" for verb in ("get", "set"))
                 functions = [getattr(library.dynlib, name, None) for name in names]

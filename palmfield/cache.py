@@ -1,10 +1,10 @@
-"""What took long to compute, kept on disk for the next run that asks for the same.
+"""Store results that took long to compute on disk, for later runs with the same inputs.
 
-A folder of NumPy archives, one for each answer, named by a digest of all that it depends on and of the code that makes
-it. The folder is the user's cache folder, or what the environment's PALMFIELD_CACHE names (`off`: nothing is kept).
-When it grows beyond its limit, 2 GB or PALMFIELD_CACHE_MB, what was used least lately goes. An answer is written beside
-its place and renamed, so that no reader sees half of it. A file holds that digest and one of its arrays too: one that
-can't be read, that stands under another's name or whose arrays were changed is made anew, and said.
+The cache is a folder of NumPy archives, one for each result. A file is named by a digest of all inputs and of the code.
+The folder is the user's cache folder, or that of environment variable PALMFIELD_CACHE (`off`: no cache). If it exceeds
+its limit (2 GB or PALMFIELD_CACHE_MB), the least recently used results are removed. A result is written to a temporary
+file and renamed, so that no process reads an incomplete file. A file also contains the digest of the inputs and one of
+its arrays: if it cannot be read or does not match them, the result is recomputed with a message.
 """
 
 import dataclasses
@@ -27,22 +27,22 @@ from pydantic import BaseModel
 from scipy import sparse
 
 from palmfield.errors import PalmfieldError, reason_of
-from palmfield.given_files import regular
+from palmfield.input_files import regular
 from palmfield.phases import phase
 
 LIMIT_MB = 2048
 WAIT_S = 600.0
-"""Longest wait for another process that makes the same answer [s]; then it is made here as well."""
+"""Longest wait for another process that computes the same result [s]; then it is computed here too."""
 OFF = ("off", "0", "none")
 MARKS = "palmfield_marks"
-"""The array in a file that holds the digest of what the answer depends on, and that of the other arrays."""
+"""Array in a file with the digest of the inputs and that of the other arrays."""
 Arrays = dict[str, NDArray[Any]]
 
 _said: set[str] = set()
 
 
 class Entry(NamedTuple):
-    """An answer on disk. kind: what it is; used: when it was last used [s since the epoch]"""
+    """A result on disk. kind: of result; used: time of last use [s since the epoch]"""
 
     path: Path
     kind: str
@@ -51,7 +51,7 @@ class Entry(NamedTuple):
 
 
 def folder() -> Path | None:
-    """Where answers are kept, or None where nothing is."""
+    """Return the folder of the cache, or None if there is none."""
     named = os.environ.get("PALMFIELD_CACHE")
     if named is None:
         return platformdirs.user_cache_path("palmfield")
@@ -59,7 +59,7 @@ def folder() -> Path | None:
 
 
 def limit_bytes() -> int:
-    """How much the folder may hold. Raises PalmfieldError for a PALMFIELD_CACHE_MB that is no number above 0."""
+    """Return the limit of the folder [bytes]. Raises PalmfieldError if PALMFIELD_CACHE_MB is not a number above 0."""
     named = os.environ.get("PALMFIELD_CACHE_MB", str(LIMIT_MB))
     try:
         megabytes = float(named)
@@ -78,11 +78,11 @@ def kept(
     where: Path | None = None,
     code: str | None = None,
 ) -> Arrays:
-    """The answer that `make` gives, from the cache where an earlier run has left it there.
+    """Return the result of `make`, from the cache if an earlier run stored it.
 
-    kind: what it is, a word for a file's name; depends_on: everything that the answer depends on, see `digest`
-    make: gives the answer as arrays by name, without objects. Raises what it raises, and keeps nothing then.
-    where: a folder that the environment does not change; code: digest of the code that makes it, None for `code_mark`
+    kind: kind of result, a word for the file name; depends_on: all inputs of the result, see `digest`
+    make: returns the result as arrays by name, without objects; its errors are raised, and nothing is stored then
+    where: folder that replaces that of the environment; code: digest of the code, None for `code_mark`
     """
     where = where or folder()
     work = phase(kind.replace("-", " "))(make)
@@ -111,7 +111,7 @@ def kept(
 
 
 def entries() -> list[Entry]:
-    """What the cache holds, last used first."""
+    """Return the entries of the cache, last used first."""
     where = folder()
     if where is None or not os.path.isdir(where):
         return []
@@ -126,7 +126,7 @@ def entries() -> list[Entry]:
 
 
 def clear() -> int:
-    """Remove all that is kept; returns how many answers there were."""
+    """Remove all entries; return their number."""
     removed = entries()
     where = folder()
     for entry in removed:
@@ -139,9 +139,9 @@ def clear() -> int:
 
 
 def digest(*parts: Any) -> str:
-    """A hash of numbers, texts, arrays, sparse matrices, dataclasses, models, and lists and dicts of them.
+    """Return a hash of numbers, texts, arrays, sparse matrices, dataclasses, models, and lists and dicts of them.
 
-    Raises TypeError for anything else: what can't be told apart by its content must not name an answer.
+    Raises TypeError for other types, whose content cannot be compared.
     """
     result = hashlib.blake2b(digest_size=20)
     for part in parts:
@@ -151,7 +151,7 @@ def digest(*parts: Any) -> str:
 
 @functools.cache
 def code_mark() -> str:
-    """A digest of this package's code and of the libraries that compute: other code may give other answers."""
+    """Return a digest of the code of this package and of numerical libraries, on which results depend."""
     result = hashlib.blake2b(digest_size=20)
     package = Path(__file__).parent
     for root in (package, package.parent / "warp_kernels"):
@@ -167,7 +167,7 @@ def code_mark() -> str:
 
 
 def _factorises() -> tuple[str, str]:
-    """The version of pypardiso, "" without it, and whether it is switched on: its last digits are others."""
+    """Return the version of pypardiso ("" without it) and whether it is switched on, because rounding depends on it."""
     try:
         installed = importlib.metadata.version("pypardiso")
     except importlib.metadata.PackageNotFoundError:
@@ -185,7 +185,7 @@ def _add(result: Any, part: Any) -> None:
     elif sparse.issparse(part):
         rows = sparse.csr_matrix(part)
         if not rows.has_sorted_indices:
-            rows = rows.sorted_indices()  # a copy: the caller's numbers keep their order
+            rows = rows.sorted_indices()  # a copy, so that the order of the caller's numbers is unchanged
         _put(result, f"sparse {rows.shape}", b"")
         for numbers in (rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data):
             _add(result, numbers)
@@ -210,13 +210,13 @@ def _add(result: Any, part: Any) -> None:
 
 
 def _put(result: Any, kind: str, content: bytes) -> None:
-    """Kinds and lengths keep parts apart: ("ab", "c") is not ("a", "bc")."""
+    """Add a part with its kind and length, so that ("ab", "c") differs from ("a", "bc")."""
     result.update(f"{kind} {len(content)}\n".encode())
     result.update(content)
 
 
 def _read(path: Path, key: str) -> Arrays | None:
-    """The answer of a key, or None where the file isn't there or isn't that answer, whole and unchanged."""
+    """Return the result of a key; None if the file is missing, damaged or of another key."""
     try:
         with np.load(regular(path), allow_pickle=False) as archive:
             answer = {name: archive[name] for name in archive.files}
@@ -249,7 +249,7 @@ def _write(path: Path, key: str, answer: Arrays) -> None:
 
 
 def _make_room(newest: Path) -> None:
-    """Remove what was used least lately, until the rest is within the limit; and parts that a killed process left."""
+    """Remove the least recently used entries beyond the limit, and temporary files of killed processes."""
     total, limit = 0, limit_bytes()
     for entry in sorted(entries(), key=lambda entry: (entry.path != newest, -entry.used)):
         total += entry.size_bytes
@@ -267,7 +267,7 @@ def _make_room(newest: Path) -> None:
 
 
 def _say(text: str) -> None:
-    """A warning, once a process."""
+    """Log a warning, once per process."""
     if text not in _said:
         _said.add(text)
         warnings.warn(text, RuntimeWarning, stacklevel=3)

@@ -1,4 +1,4 @@
-"""Where the scenes and hand presets lie: inside an installed wheel, or beside the package in a clone."""
+"""Locate scenes and hand presets: inside an installed wheel, or next to the package in a clone."""
 
 from pathlib import Path
 from typing import Literal
@@ -11,11 +11,11 @@ FOLDERS = ("mjcf", "hand_models")
 
 
 def folder(name: Literal["mjcf", "hand_models"]) -> Path:
-    """Folder of data files that ship with palmfield.
+    """Return the folder of data files that ship with palmfield.
 
     name: "mjcf" (arrays, hands and scenes) or "hand_models" (hand presets)
     Returns an absolute path that exists.
-    Raises SceneError for another name, and where the folder is in neither place.
+    Raises SceneError for another name, and if the folder is not found.
     """
     if name not in FOLDERS:
         raise SceneError(f"data folder {name!r} does not exist; allowed: {', '.join(map(repr, FOLDERS))}")
@@ -30,11 +30,11 @@ def folder(name: Literal["mjcf", "hand_models"]) -> Path:
 
 
 def find_file(name: str) -> Path:
-    """The file that a scene's key names, whatever the working directory.
+    """Return the file that a key of a scene names.
 
-    name: absolute, or relative to the working directory or else to the folder of palmfield's own scenes: a compiled
-        model doesn't say where its file lies
-    Returns an absolute path; one given so is not looked for.
+    name: absolute, or relative to the working directory or to the folder of palmfield's scenes, because a compiled
+        model does not store the folder of its file
+    Returns an absolute path; an absolute `name` is not checked.
     Raises SceneError for a relative name that is in neither folder.
     """
     path = Path(name)

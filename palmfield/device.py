@@ -1,4 +1,4 @@
-"""Where Warp kernels run, and the memory that they share with NumPy."""
+"""Run Warp kernels on a device, and share memory with NumPy."""
 
 import atexit
 import ctypes
@@ -24,11 +24,11 @@ from palmfield.phases import phase
 from warp_kernels import products
 
 KERNELS = "WARP_CACHE_PATH"
-"""The environment's name for the folder in which Warp keeps compiled kernels."""
+"""Environment variable for the folder of compiled Warp kernels."""
 
 
 def _kernels_folder() -> None:
-    """Have kernels kept in a folder of this process and its children where the usual one can't be written."""
+    """Store kernels in a folder of this process and its children if the usual folder is not writable."""
     usual = os.environ.get(KERNELS) or platformdirs.user_cache_dir("warp", "NVIDIA", wp.__version__)
     try:
         if not os.environ.get(KERNELS) and not os.path.isabs(usual):
@@ -54,7 +54,7 @@ def _kernels_folder() -> None:
 
 
 def _start() -> None:
-    """Initialise Warp without its notice that there is no GPU, which C code writes straight to standard error."""
+    """Initialise Warp without its message that there is no GPU, which C code writes directly to standard error."""
     wp.config.log_level = wp.LOG_WARNING
     if wp.config.kernel_cache_dir is None:
         _kernels_folder()
@@ -72,23 +72,23 @@ _start()
 
 
 def resolve(device: str = "auto") -> str:
-    """Name of the Warp device for `auto`, `cpu` or `cuda:N`; `auto` takes the first GPU if there is one.
+    """Return the name of the Warp device for `auto`, `cpu` or `cuda:N`; `auto` is the first GPU if there is one.
 
-    Raises PalmfieldError when the device is not on this machine.
+    Raises PalmfieldError if the device is not on this machine.
     """
     if device == "auto":
         return "cuda:0" if wp.is_cuda_available() else "cpu"
-    known = [str(d) for d in wp.get_devices()]
-    if device not in known:
-        raise PalmfieldError(f"device '{device}' is not on this machine; use one of auto, {', '.join(known)}")
+    names = [str(d) for d in wp.get_devices()]
+    if device not in names:
+        raise PalmfieldError(f"device '{device}' is not on this machine; use one of auto, {', '.join(names)}")
     return device
 
 
 class SharedArray:
-    """An array of fixed size that NumPy sees as `host` and kernels as `array`.
+    """An array of fixed size: `host` for NumPy, `array` for kernels.
 
-    On the CPU both are one memory. On a GPU `host` is pinned memory: `upload` and `download` copy, in the order of the
-    device's stream, which must be waited for (`wp.synchronize_stream`) before `host` holds what was downloaded.
+    On the CPU both use the same memory. On a GPU `host` is pinned memory. `upload` and `download` copy in the order of
+    the stream of the device; synchronise it (`wp.synchronize_stream`) before downloaded data in `host` are read.
 
     shape: of the Warp array; dtype: its type, for example wp.vec3; device: of `resolve`
     """
@@ -101,7 +101,7 @@ class SharedArray:
         self.host: NDArray[Any] = (self.array if self._pinned is None else self._pinned).numpy()
 
     def put(self, values: ArrayLike) -> None:
-        """Give kernels these values, which `host` then holds; a copy that is still under way is waited for."""
+        """Write values to `host` and `array`, after waiting for a copy in progress."""
         if self._pinned is not None:
             wp.synchronize_stream(self.array.device)
             self.host[...] = values
@@ -110,27 +110,27 @@ class SharedArray:
             self.host[...] = values
 
     def upload(self, count: int = 0) -> None:
-        """Give kernels what `host` holds, or its first `count` values.
+        """Copy `host`, or its first `count` values, to `array`.
 
-        Until the device's stream is waited for, they must stay as they are.
+        `host` must not change before the stream of the device is synchronised.
         """
         if self._pinned is not None:
             wp.copy(self.array, self._pinned, count=count)
 
     def download(self, count: int = 0) -> None:
-        """Fetch into `host` what kernels have written, or the first `count` values of it."""
+        """Copy `array`, or its first `count` values, to `host`."""
         if self._pinned is not None:
             wp.copy(self._pinned, self.array, count=count)
 
 
 PAGE = 256
-"""Bytes to whose multiples arrays are aligned in a SharedBlock, as in memory that Warp allocates."""
+"""Alignment of arrays in a SharedBlock [bytes], as in memory that Warp allocates."""
 
 
 class SharedBlock:
-    """Several arrays of fixed size in one memory, which one copy takes to the device or back, and which it owns.
+    """Several arrays of fixed size in one block of memory, which is copied to or from the device in one operation.
 
-    hosts, arrays: by name, as `host` and `array` of a SharedArray; nbytes: of the memory
+    hosts, arrays: by name, as `host` and `array` of a SharedArray; nbytes: size of the memory
     parts: shape and Warp type by name; device: of `resolve`
     """
 
@@ -150,27 +150,27 @@ class SharedBlock:
             self.arrays[name], self.hosts[name] = there, here.numpy()
 
     def upload(self, before: str | None = None) -> None:
-        """As SharedArray.upload, for all arrays, or those before this one."""
+        """Copy all arrays, or those before `before`, to the device, as SharedArray.upload does."""
         self._whole.upload(0 if before is None else self._starts[before])
 
     def download(self) -> None:
-        """As SharedArray.download, for all arrays."""
+        """Copy all arrays to the host, as SharedArray.download does."""
         self._whole.download()
 
 
 def nbytes(part: tuple[tuple[int, ...], Any]) -> int:
-    """What an array takes, by its shape and Warp type."""
+    """Return the size of an array with a shape and Warp type [bytes]."""
     shape, dtype = part
     return math.prod(shape) * wp.types.type_size_in_bytes(dtype)
 
 
 def free_bytes(device: str) -> int | None:
-    """Memory that is free on a device of `resolve`; None for the CPU, whose memory nobody limits here."""
+    """Return the free memory of a device of `resolve` [bytes]; None for the CPU, which is not checked."""
     return None if device == "cpu" else int(wp.get_device(device).free_memory)
 
 
 def check_room(needed: int, worlds: int, device: str) -> None:
-    """Raise DeviceError where so many bytes for so many worlds are not free on a device, before they are taken."""
+    """Raise DeviceError if a device has less free memory than `needed` [bytes] for `worlds` worlds."""
     free = free_bytes(device)
     if free is not None and needed > free:
         raise DeviceError(
@@ -182,23 +182,23 @@ def check_room(needed: int, worlds: int, device: str) -> None:
 
 
 _loading = threading.Lock()
-"""Held while a kernel's module may be loaded: of two threads that load the same one, Warp may leave one with code that
-the other has unloaded."""
+"""Lock while a kernel's module is loaded. If two threads loaded the same module at once, Warp could give one of them
+code that the other has unloaded."""
 
 
 def load_kernels(module: Any, device: str) -> None:
-    """Load a module of kernels, or the one of `kernel.module`, before several threads launch from it."""
+    """Load a module of kernels, for example `kernel.module`, before several threads launch kernels from it."""
     with _loading, phase("kernels"):
         wp.load_module(module, device=device)
 
 
 def launch(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Callable[[], object]:
-    """A call that launches a kernel with these arguments, as `recorded`, but one that `wp.ScopedCapture` sees."""
+    """Return a call that launches a kernel with these arguments, as `recorded`, but visible to `wp.ScopedCapture`."""
     return _command(kernel, dim, inputs, device).launch
 
 
 THREADS = 128
-"""In a block, on a GPU."""
+"""Number of threads in a block on a GPU."""
 
 
 def _command(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
@@ -207,30 +207,30 @@ def _command(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], dev
 
 
 def matrix_product(left: Any, right: Any, result: Any, device: str) -> Callable[[], object]:
-    """A call as `launch` gives it that makes `result` left @ right: float32 arrays on the device, each of two axes."""
+    """Return a call that sets `result` to left @ right; all are float32 matrices on the device."""
     tiles = -(-result.shape[0] // products.ROWS), -(-result.shape[1] // products.COLUMNS)
-    # All threads of a block do one tile together
+    # All threads of a block compute one tile together
     return launch(products.product, (*tiles, 1 if device == "cpu" else THREADS), [left, right, result], device)
 
 
 launching = threading.Lock()
-"""Held while a graph is captured: what another thread launches meanwhile on the device would become part of it."""
+"""Lock while a graph is captured, because launches by other threads on the device would become part of it."""
 
 
 @dataclass(frozen=True)
 class Branches:
-    """Lists of calls of which none needs what another list does: on a GPU a graph does them side by side."""
+    """Independent lists of calls, which a graph runs in parallel on a GPU."""
 
     parts: tuple[Sequence[Callable[[], object]], ...]
 
     def __call__(self) -> None:
-        """All of them, one list after the other."""
+        """Do all calls, one list after the other."""
         for part in self.parts:
             for call in part:
                 call()
 
     def captured(self, device: str) -> None:
-        """The same while a graph is captured on a GPU, each list on a stream of its own."""
+        """Do all calls while a graph is captured on a GPU, each list on a separate stream."""
         main, beside = wp.get_stream(device), _streams(device, len(self.parts) - 1)
         for stream in beside:
             stream.wait_stream(main)
@@ -248,25 +248,25 @@ _beside: dict[str, list[Any]] = {}
 
 
 def _streams(device: str, count: int) -> list[Any]:
-    """Streams for graphs to be captured on; kept."""
-    known = _beside.setdefault(device, [])
-    known += [wp.Stream(device) for _ in range(count - len(known))]
-    return known[:count]
+    """Return streams on which graphs are captured; they are reused."""
+    made = _beside.setdefault(device, [])
+    made += [wp.Stream(device) for _ in range(count - len(made))]
+    return made[:count]
 
 
 def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[], object]:
-    """A call that does all of these launches and copies, in order, as one captured graph; they are done once here.
+    """Return a call that does launches and copies, in order, as one captured graph. They are also done once here.
 
-    Other threads launch theirs under `launching`.
+    Other threads must hold `launching` for their launches.
     """
     with launching:
-        # Done before they are captured: kernels are loaded then, and memory that Warp needs beside ours is there
+        # Done once before capture, so that kernels are loaded and Warp has allocated its own memory
         for call in calls:
             call()
         if device != "cpu":
-            # What comes back now must not come over what the caller puts there for the graph's first replay
+            # Downloads of this run must not overwrite data that the caller writes for the first replay
             wp.synchronize_stream(device)
-            # Streams, and the events by which they wait for one another, can't be made while a graph is captured
+            # Streams and their events cannot be made while a graph is captured
             most = max((len(call.parts) for call in calls if isinstance(call, Branches)), default=1)
             for stream in (wp.get_stream(device), *_streams(device, most - 1)):
                 assert stream.cached_event is not None
@@ -277,29 +277,29 @@ def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[],
                 else:
                     call()
     replay: Any = functools.partial(wp.capture_launch, capture.graph)
-    replay.calls = calls  # a graph knows addresses only: with its calls their arrays live as long
+    replay.calls = calls  # a graph stores only addresses; the calls keep their arrays alive
     return replay
 
 
 def filled(struct: Any, **values: Any) -> Any:
-    """The Warp struct with its members set."""
+    """Set members of a Warp struct and return it."""
     for name, value in values.items():
         setattr(struct, name, value)
     return struct
 
 
 def whole_numbers(values: ArrayLike, device: str = "cpu") -> Any:
-    """A Warp array of int32, with a copy of these values."""
+    """Return a Warp array of int32 with a copy of values."""
     return wp.array(np.asarray(values, dtype=np.int32), dtype=wp.int32, device=device)
 
 
 def vectors(values: ArrayLike, device: str) -> Any:
-    """A Warp array of vec3d, with a copy of these values, shape (n, 3)."""
+    """Return a Warp array of vec3d with a copy of values, shape (n, 3)."""
     return wp.array(np.ascontiguousarray(values, np.float64), dtype=wp.vec3d, device=device)
 
 
 def gather(arrays: Sequence[Any], out: NDArray[Any]) -> None:
-    """Write the numbers of contiguous arrays one after the other into `out`."""
+    """Copy contiguous arrays one after the other into `out`."""
     start = 0
     for array in arrays:
         if array.size:
@@ -309,7 +309,7 @@ def gather(arrays: Sequence[Any], out: NDArray[Any]) -> None:
 
 
 def scatter(numbers: NDArray[Any], arrays: Sequence[Any]) -> None:
-    """Fill arrays from what `gather` has written."""
+    """Copy numbers written by `gather` back to arrays."""
     start = 0
     for array in arrays:
         if array.size:
@@ -319,7 +319,7 @@ def scatter(numbers: NDArray[Any], arrays: Sequence[Any]) -> None:
 
 
 def available_bytes() -> int:
-    """Memory that programs can take without swapping; 8 GB where the system doesn't say."""
+    """Return the memory available without swapping [bytes]; 8 GB if the system does not report it."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
@@ -328,15 +328,15 @@ def available_bytes() -> int:
 
 
 DIRECT_LAUNCH = ("1.19",)
-"""Versions of Warp whose compiled kernels on the CPU are known to take a launch's bounds and its packed arguments."""
+"""Versions of Warp whose compiled CPU kernels can be called directly with bounds and packed arguments."""
 
 
 def recorded(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Callable[[], object]:
-    """A call that launches a kernel with these arguments: the same arrays, whatever they hold by then.
+    """Return a call that launches a kernel with these arguments; the arrays are fixed, their values may change.
 
-    A launch that Warp records packs its arguments again each time, in 5 us and 10 to 20 Python calls. On the CPU, with
-    a version of Warp where that is known to work, they are packed once here, and a launch takes 1 us. Such a launch is
-    not seen by `wp.ScopedCapture`.
+    A recorded launch of Warp packs its arguments each time, in 5 us and 10 to 20 Python calls. On the CPU, with a
+    tested version of Warp, they are packed once here, and a launch takes 1 us. `wp.ScopedCapture` does not record such
+    a launch.
 
     device: of `resolve`; on a GPU blocks have 128 threads
     """
@@ -351,5 +351,5 @@ def recorded(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], dev
 
 @functools.lru_cache(maxsize=256)
 def _arguments(types: tuple[type, ...]) -> type[ctypes.Structure]:
-    """A structure of packed arguments; to make one takes as long as to record a launch."""
+    """Return a structure of packed arguments; making one takes as long as recording a launch."""
     return type("Arguments", (ctypes.Structure,), {"_fields_": [(f"argument_{i}", of) for i, of in enumerate(types)]})

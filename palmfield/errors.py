@@ -1,4 +1,4 @@
-"""Errors that users see. Each message is one line: what was found, what is allowed, how to mend it."""
+"""Errors that users see. Each message is one line: the value, what is allowed, and what to do."""
 
 import difflib
 from collections.abc import Iterable, Sequence
@@ -9,11 +9,11 @@ if TYPE_CHECKING:
 
 
 class PalmfieldError(Exception):
-    """Base of every error that a user can cause and mend; the command line prints it and exits with 2.
+    """Base of every error that a user can cause and correct; the command line prints it and exits with 2.
 
-    about: names of what it is about, outermost first: a world, an element of a scene, a key. They come before the text.
-    setting: name of the setting with the refused value, "" for none. mends: names of settings whose change mends it.
-        `palmfield.config.base.naming_keys` puts both in words, where they are keys of a scene.
+    about: names before the text, outermost first: a world, an element of a scene, a key.
+    setting: name of the setting with the invalid value, "" for none. mends: names of settings that can correct it.
+        `palmfield.config.base.naming_keys` adds both to the text if they are keys of a scene.
     """
 
     def __init__(self, text: str = "", *about: str, setting: str = "", mends: Sequence[str] = ()):
@@ -25,11 +25,11 @@ class PalmfieldError(Exception):
 
 
 class SceneError(PalmfieldError):
-    """A scene, or a file that it names, says something that cannot be built."""
+    """A scene, or a file that it names, is invalid."""
 
 
 class DeviceError(PalmfieldError):
-    """A board or a GPU cannot do what is asked of it, or a board cannot be reached."""
+    """A board or GPU cannot do what is requested, or a board cannot be reached."""
 
 
 class OutputError(PalmfieldError):
@@ -37,37 +37,37 @@ class OutputError(PalmfieldError):
 
 
 class MeasurementError(PalmfieldError):
-    """A metric or an instrument is asked for what the signal that it is given cannot tell."""
+    """A signal does not contain what a metric or instrument needs."""
 
 
 def unwritable(path: object, error: OSError) -> OutputError:
-    """What to raise where a file can't be written, from what the system said."""
+    """Return the error for a file that cannot be written, from that of the system."""
     return OutputError(f"cannot write {path}: {reason_of(error)}; choose a folder that exists and has room")
 
 
 def reason_of(error: BaseException, longest: int | None = None) -> str:
-    """What an error of the system or of a library says, in one line of so many letters; its kind if it says nothing."""
+    """Return the message of a system or library error in one line of at most `longest` letters, or else its type."""
     text = str(getattr(error, "strerror", None) or error)
     return " ".join(text.split())[:longest] or type(error).__name__
 
 
 def fault_of(error: "ValidationError") -> str:
-    """The first fault that pydantic finds in what a file holds: its place, what is wrong, and the value."""
+    """Return the first error of pydantic in a file: position, error and value."""
     first = error.errors()[0]
     place = ".".join(map(str, first["loc"]))
     message = first["msg"].removeprefix("Value error, ")
-    given = "" if first["type"] in ("value_error", "missing") else f", not {str(first['input'])[:60]}"
-    return f"{place}{': ' if place else ''}{message}{given}"
+    value = "" if first["type"] in ("value_error", "missing") else f", not {str(first['input'])[:60]}"
+    return f"{place}{': ' if place else ''}{message}{value}"
 
 
 LEAST_BEGINNING = 3
-"""Letters from which a name's beginning stands for it in `did_you_mean`."""
+"""Smallest number of letters at the beginning of a name that identify it in `did_you_mean`."""
 
 
 def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
-    """` (did you mean 'x'?)` for the known word that comes near, or begins so; empty where none does.
+    """Return ` (did you mean 'x'?)` for the most similar known word, or one that begins with `word`; "" if none.
 
-    likeness: least share of letters that they have in common, 0 to 1
+    likeness: smallest fraction of common letters, 0 to 1
     """
     by_lower = {name.lower(): name for name in known}
     near = difflib.get_close_matches(word.lower(), by_lower, n=1, cutoff=likeness)
@@ -77,7 +77,7 @@ def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
 
 
 def refuse_unknown(error: type[PalmfieldError], sentence: str, value: str, known: Iterable[str]) -> None:
-    """Raise an error for a value that is none of those known.
+    """Raise an error for a value that is not in `known`.
 
     sentence: has {} in place of the value: "--by has value {}"
     """
@@ -88,11 +88,11 @@ def refuse_unknown(error: type[PalmfieldError], sentence: str, value: str, known
 
 
 MEMORY_SIGNS = ("Failed to allocate", "out of memory", "CUDA error 2:")
-"""In messages of Warp, where memory has run out."""
+"""Parts of messages of Warp if a GPU is out of memory."""
 
 
 def explained(error: Exception) -> Exception:
-    """The error, or a DeviceError that says what to change where it is Warp's that a GPU has no memory left."""
+    """Return the error; for an error of Warp that a GPU is out of memory, return a DeviceError with a remedy."""
     text = " ".join(str(error).split())
     if not isinstance(error, RuntimeError) or not any(sign in text for sign in MEMORY_SIGNS):
         return error
@@ -103,19 +103,19 @@ def explained(error: Exception) -> Exception:
 
 
 class explaining:
-    """An error that leaves the block is `explained`."""
+    """A context that replaces an error in the block by `explained`."""
 
     def __enter__(self) -> None:
         return None
 
     def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
-        known = explained(error) if isinstance(error, Exception) else error
-        if known is not None and known is not error:
-            raise known from error
+        named = explained(error) if isinstance(error, Exception) else error
+        if named is not None and named is not error:
+            raise named from error
 
 
 class naming:
-    """An error of palmfield's that leaves the block says what it is about, and what mends it, where it doesn't yet."""
+    """A context that adds names and remedies to a PalmfieldError in the block that lacks them."""
 
     def __init__(self, *about: str, mends: Sequence[str] = ()):
         self.about, self.mends = about, mends
@@ -131,5 +131,5 @@ class naming:
 
 
 def naming_world(world: int) -> naming:
-    """An error of palmfield's that leaves the block says in which of several worlds it was."""
+    """Return a context that adds the number of the world to a PalmfieldError in the block."""
     return naming(f"world {world}")

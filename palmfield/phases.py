@@ -1,4 +1,4 @@
-"""Names for the phases of a run, which are measured only inside `palmfield.profile.measured`."""
+"""Name the phases of a run, which are measured only inside `palmfield.profile.measured`."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -7,13 +7,13 @@ from typing import Any, ParamSpec, TypeVar
 P = ParamSpec("P")
 T = TypeVar("T")
 running: list[Any] = []
-"""The profiles of `palmfield.profile` that measure now; the last one counts."""
+"""Active profiles of `palmfield.profile`; the last one is used."""
 
 
 class phase:
-    """The block is a phase: `with phase("matrices"):`; or each call of a function: `@phase("matrices")`.
+    """A phase: a block, `with phase("matrices"):`, or each call of a function, `@phase("matrices")`.
 
-    The arrays to which the results of such a function lead are counted under the name, until they are freed.
+    Arrays that the result of such a function refers to are counted under the name until they are freed.
     """
 
     def __init__(self, name: str) -> None:
@@ -41,6 +41,6 @@ class phase:
 
 
 def holds(name: str, thing: object) -> None:
-    """Count the arrays to which an object leads under a name, until they are freed."""
+    """Count the arrays that an object refers to under a name, until they are freed."""
     if running:
         running[-1].count(name, thing)

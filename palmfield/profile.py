@@ -1,4 +1,4 @@
-"""Processor time, wall time and memory of the phases of a run (`palmfield.phases`).
+"""Measure processor time, wall time and memory of the phases of a run (`palmfield.phases`).
 
 from palmfield.profile import measured
 with measured() as profile:
@@ -24,20 +24,20 @@ from palmfield.phases import running
 from palmfield.terminal import printed, table
 
 LEAST_BYTES, LEAST_S = 2**16, 0.005
-"""Smaller arrays are not counted, and shorter phases are not printed."""
+"""Smallest counted array [bytes], and shortest printed phase [s]."""
 BEFORE = "Python and its command line"
-"""The row of the time before the measurement."""
+"""Row for the time before the measurement."""
 ELSEWHERE = "elsewhere"
-"""The row of the time in no phase."""
+"""Row for the time outside phases."""
 
 
 @dataclass
 class Times:
-    """Times of a phase, with all phases inside it.
+    """Times of a phase including all phases inside it.
 
-    cpu_s: user and system time of its thread and of helper threads without a phase of their own [s].
-    wall_s: of the thread that is measured [s]. beside_s: of other threads, at the same time as other phases [s].
-    calls: number of times that it began. peak_bytes: highest resident memory of the process until its last end.
+    cpu_s: user and system time of its thread and of helper threads without their own phase [s].
+    wall_s: of the measured thread [s]. beside_s: of other threads, parallel to other phases [s].
+    calls: number of calls. peak_bytes: highest resident memory of the process until its last end.
     """
 
     cpu_s: float = 0.0
@@ -49,7 +49,7 @@ class Times:
 
 @dataclass
 class Held:
-    """Arrays of one kind [bytes]: present size, largest size at any time; and how many were made."""
+    """Arrays of one kind: present size and largest size [bytes], and number made."""
 
     now_bytes: int = 0
     most_bytes: int = 0
@@ -59,8 +59,8 @@ class Held:
 class Profile:
     """Measured times and memory; its text is a table.
 
-    phases: Times by the names of a phase and of those around it, the outermost first. A phase in another thread
-    stands under the outermost phase of the measured thread.
+    phases: Times by the names of a phase and its enclosing phases, outermost first. A phase in another thread
+    belongs to the outermost phase of the measured thread.
     held: Held by kind of arrays.
     """
 
@@ -82,7 +82,7 @@ class Profile:
         return Times(self._cpu, self._wall - self._begun, 0.0, 1, peak_bytes())
 
     def begin(self, name: str) -> None:
-        """A phase of this thread begins."""
+        """Begin a phase of this thread."""
         with self._lock:
             self.update()
             thread = threading.get_ident()
@@ -93,7 +93,7 @@ class Profile:
             self.phases.setdefault(tuple(self._open[thread]), Times()).calls += 1
 
     def end(self) -> None:
-        """The last phase of this thread ends."""
+        """End the last phase of this thread."""
         with self._lock:
             self.update()
             thread = threading.get_ident()
@@ -104,7 +104,7 @@ class Profile:
                 del self._open[thread], self._clocks[thread]
 
     def update(self) -> None:
-        """Add the time since the last event to the phases that are open."""
+        """Add the time since the last event to the open phases."""
         with self._lock:
             wall, cpu = time.perf_counter(), time.process_time()
             took, used = wall - self._wall, cpu - self._cpu
@@ -163,7 +163,7 @@ class Profile:
 
 @contextmanager
 def measured() -> Iterator[Profile]:
-    """Measure the phases of the block in this thread, and those of other threads meanwhile."""
+    """Measure the phases of the block in this thread, and phases of other threads at the same time."""
     profile = Profile()
     running.append(profile)
     try:
@@ -174,12 +174,12 @@ def measured() -> Iterator[Profile]:
 
 
 def peak_bytes() -> int:
-    """Highest resident memory of the process so far."""
+    """Return the highest resident memory of the process so far [bytes]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 def arrays_of(thing: object) -> list[Any]:
-    """NumPy arrays that own their memory and that an object leads to, from LEAST_BYTES on."""
+    """Return NumPy arrays of at least LEAST_BYTES that own their memory and to which an object refers."""
     found, todo, seen = [], [thing], set[int]()
     while todo:
         one = todo.pop()
@@ -196,6 +196,6 @@ def arrays_of(thing: object) -> list[Any]:
 
 
 def _clock(thread: int) -> float:
-    """CPU time of a running thread [s]; 0 where the system does not give it: the measured thread then gets it."""
+    """Return the CPU time of a running thread [s]; 0 if the system does not report it: the measured thread gets it."""
     number = getattr(time, "pthread_getcpuclockid", None)
     return time.clock_gettime(number(thread)) if number else 0.0

@@ -1,4 +1,4 @@
-"""Priority of this process's threads while they follow something that does not wait."""
+"""Set the priority of threads that must keep pace with a device."""
 
 import contextlib
 import gc
@@ -9,23 +9,23 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 MAKER_PRIORITY, FOLLOWER_PRIORITY = 40, 30
-"""Of who makes frames while a player, which has more, sends them; and of who fits a hand to what a tracker tells."""
+"""Priorities of the thread that makes frames (the player has a higher one) and of that which fits a hand to samples."""
 SWITCH_S = 200e-6
-"""After which one of Python's threads lets another go on [s]: a virtual board's takes bytes meanwhile."""
+"""Switch interval of Python threads [s], short so that the thread of a virtual board can read bytes."""
 
 
 @contextlib.contextmanager
 def realtime(priority: int) -> Iterator[str]:
-    """In the block the thread that calls has SCHED_FIFO where that is permitted; gives what it got in words.
+    """Give the calling thread SCHED_FIFO in the block, if permitted; yield a description of its priority.
 
-    Only for a thread that mostly waits; what it starts has normal priority.
+    Use it only for a thread that mostly waits; threads that it starts have normal priority.
     """
     before: tuple[int, Any] | None = None
     if hasattr(os, "sched_setscheduler"):
         with contextlib.suppress(OSError):
-            known = os.sched_getscheduler(0), os.sched_getparam(0)
+            present = os.sched_getscheduler(0), os.sched_getparam(0)
             os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
-            before = known
+            before = present
     try:
         yield "normal priority" if before is None else f"SCHED_FIFO {priority}"
     finally:
@@ -35,7 +35,7 @@ def realtime(priority: int) -> Iterator[str]:
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[str]:
-    """As `realtime`, for the thread that makes frames; meanwhile nothing collects garbage, and threads switch soon."""
+    """Apply `realtime` to the thread that makes frames, without garbage collection and with SWITCH_S."""
     collects, interval_s = gc.isenabled(), sys.getswitchinterval()
     gc.disable()
     sys.setswitchinterval(SWITCH_S)
@@ -49,7 +49,7 @@ def undisturbed() -> Iterator[str]:
 
 
 def follower(target: Callable[[], object]) -> threading.Thread:
-    """A thread, not yet started, of something that must not wait; it ends with the process."""
+    """Return a daemon thread with FOLLOWER_PRIORITY that is not yet started."""
 
     def run() -> None:
         with realtime(FOLLOWER_PRIORITY):

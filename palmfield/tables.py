@@ -1,4 +1,4 @@
-"""Columns of numbers in CSV and NPZ files, with messages that name line and column."""
+"""Read and write columns of numbers in CSV and NPZ files; messages contain line and column."""
 
 import csv
 import math
@@ -11,23 +11,23 @@ from zipfile import BadZipFile, is_zipfile
 import numpy as np
 
 from palmfield.errors import OutputError, PalmfieldError, SceneError, reason_of
-from palmfield.given_files import regular
+from palmfield.input_files import regular
 from palmfield.types import Float
 from palmfield.whole_files import whole, writing
 
 UNREADABLE = (OSError, EOFError, ValueError, NotImplementedError, MemoryError, BadZipFile, zlib.error, csv.Error)
-"""What open, csv, zipfile and NumPy raise for a broken file; undecodable text is a ValueError."""
+"""Errors of open, csv, zipfile and NumPy for a damaged file; for undecodable text ValueError."""
 
 LONGEST_NAME = 100
-"""Of a column, in letters."""
+"""Largest number of letters of a column name."""
 SEPARATORS = {";": "semicolons", "\t": "tabs"}
 
 
 def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], list[str]]:
-    """Columns of numbers of a CSV file with a header, or of an NPZ file; and what to call each row in messages.
+    """Return columns of a CSV file with a header or of an NPZ file, and the name of each row in messages.
 
     gaps: columns in which numbers need not be finite
-    Raises SceneError for a file that cannot be read, a doubled column, and, with line (in an NPZ: row) and column, for
+    Raises SceneError for a file that cannot be read, a repeated column, and, with line (in an NPZ: row) and column, for
     text and numbers that are not finite.
     """
     try:
@@ -49,7 +49,7 @@ def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], 
 def taken(
     file: Path, columns: dict[str, Float], names: Sequence[str], error: type[PalmfieldError] = SceneError
 ) -> Float:
-    """Columns that belong together, which are taken out of the table, shape (rows, names). Raises `error` if some lack.
+    """Remove columns that belong together from a table and return them, shape (rows, names); `error` if one is missing.
 
     file: for messages; columns: of `read_table`
     """
@@ -99,7 +99,7 @@ def _csv(file: Path) -> tuple[dict[str, Float], list[str]]:
 
 
 def _check_header(file: Path, header: Sequence[str]) -> None:
-    """Raises SceneError for a first line that other programs' tables have."""
+    """Raise SceneError for a header in the format of other programs."""
     for mark, name in SEPARATORS.items():
         if any(mark in column for column in header):
             raise SceneError(f"{file}: columns are separated by {name}; use commas between columns and decimal points")
@@ -122,9 +122,9 @@ def numbers_in(
     finite: bool = True,
     instead: str = "give a finite number",
 ) -> list[float]:
-    """The numbers in the cells of a row of text, one for each name of a column.
+    """Return the numbers in the cells of a row, one for each column name.
 
-    place: file and line, for messages; finite: whether to check that; instead: of a number that is not finite
+    place: file and line, for messages; finite: whether to check that; instead: remedy for a number that is not finite
     Raises `error`, with the column, for text and numbers that are not finite, and for more or fewer cells.
     """
     if len(cells) != len(names):
@@ -141,16 +141,16 @@ def numbers_in(
 
 
 def write_table(file: Path, names: Sequence[str], table: Float) -> None:
-    """Write columns of numbers, shape (rows, names), to a CSV or NPZ file, which `read_table` reads back unchanged.
+    """Write columns of numbers, shape (rows, names), to a CSV or NPZ file, which `read_table` reads unchanged.
 
-    Raises OutputError for another kind of file and for a file that cannot be written.
+    Raises OutputError for an unknown suffix and for a file that cannot be written.
     """
     if file.suffix.lower() not in (".csv", ".npz"):
         raise OutputError(f"{file}: the file's kind is '{file.suffix}'; use .csv or .npz")
     with writing(file), whole(file) as part:
         if file.suffix.lower() == ".npz":
             with part.open("wb") as data:
-                # Not with allow_pickle=False, which numpy below 2.2 takes for one more array, and numbers don't need
+                # Without allow_pickle=False, which numpy below 2.2 would write as another array; numbers do not need it
                 np.savez_compressed(data, **dict(zip(names, table.T, strict=True)))
         else:
             with part.open("w", newline="", encoding="utf-8") as text:

@@ -1,4 +1,4 @@
-"""What a terminal shows: how wide tables may be, what becomes of words that are wider, and bars of progress."""
+"""Format tables and progress bars for a terminal."""
 
 import io
 import os
@@ -12,31 +12,31 @@ from rich.table import Column, Table
 from rich.text import Text
 
 LEAST = 60
-"""Columns below which tables could not be read any more."""
+"""Smallest width of tables, in columns; narrower tables are not readable."""
 
 
 def columns(most: int) -> int:
-    """Width of a table: that of the terminal, and no more than `most`, which counts where there is no terminal.
+    """Return the width of a table: that of the terminal, at most `most`; `most` without a terminal.
 
-    The variable COLUMNS comes first, as for shells. A pipe has no width; it mostly ends in the terminal that warnings
-    and progress go to.
+    Environment variable COLUMNS has priority, as in shells. For a pipe the width is that of the terminal of standard
+    error.
     """
-    told = os.environ.get("COLUMNS", "")
-    if told.isdecimal() and int(told) > 0:
-        return max(LEAST, min(most, int(told)))
+    fixed = os.environ.get("COLUMNS", "")
+    if fixed.isdecimal() and int(fixed) > 0:
+        return max(LEAST, min(most, int(fixed)))
     for stream in (sys.__stdout__, sys.__stderr__):
         try:
             if stream is not None and (wide := os.get_terminal_size(stream.fileno()).columns) > 0:
                 return max(LEAST, min(most, wide))
-        except (OSError, ValueError):  # no terminal, or a stream that was closed
+        except (OSError, ValueError):  # no terminal, or a closed stream
             continue
     return most
 
 
 def table(rows: Iterable[Sequence[str]], heads: Sequence[str] | None = None, **looks: Any) -> Table:
-    """Rows of two or more cells, in which a word that is too long goes on in the next line: half a key's name is none.
+    """Return a table of rows with two or more cells; long words are continued in the next line, not cut.
 
-    heads: of the columns, None for two columns without; looks: further options of rich's Table
+    heads: of the columns, None for no heads; looks: options of rich's Table
     """
     grid = Table(*(Column(name, overflow="fold") for name in heads or ("", "")), show_header=heads is not None, **looks)
     for row in rows:
@@ -45,7 +45,7 @@ def table(rows: Iterable[Sequence[str]], heads: Sequence[str] | None = None, **l
 
 
 def printed(*parts: Table | str, most: int) -> str:
-    """What a terminal shows of tables and lines, one below the other, in `columns(most)`."""
+    """Return the text of tables and lines, one below the other, with width `columns(most)`."""
     stream = io.StringIO()
     console = Console(file=stream, width=columns(most))
     for part in parts:
@@ -54,18 +54,18 @@ def printed(*parts: Table | str, most: int) -> str:
 
 
 class TimeLeft(TimeRemainingColumn):
-    """The time left of a task; where its parts are not counted, the expected time (`expected_s`) less what went."""
+    """The remaining time of a task; without a count of its parts, expected time (`expected_s`) minus elapsed time."""
 
     def render(self, task: Task) -> Text:
-        """Of one task; what rich says once it takes longer than expected."""
+        """Return the text for one task; after the expected time, that of rich."""
         left = task.fields.get("expected_s", 0.0) - (task.elapsed or 0.0)
         return super().render(task) if task.total is not None or left <= 0.0 else Text(f"about {left:.0f} s left")
 
 
 def bars(show: bool = True, *more: ProgressColumn) -> Progress:
-    """Bars on a terminal's standard error, with more columns and the time spent and left; nothing unless watched."""
+    """Return progress bars on standard error with elapsed and remaining time; disabled without a terminal."""
     columns = TextColumn("{task.description}"), BarColumn(), *more, TimeElapsedColumn(), TimeLeft()
     console = Console(stderr=True)
-    # In a pipe, bars would leave an empty line before an error; rich before 14 does so even where they are disabled
+    # In a pipe, bars would print an empty line before an error; rich before 14 does so even if they are disabled
     console.quiet = not (show and console.is_terminal)
     return Progress(*columns, console=console, disable=console.quiet, transient=True)

@@ -1,4 +1,4 @@
-"""Threads of this process that share out the blocks of a computation. Safe after a fork, and from several threads."""
+"""Distribute blocks of a computation to threads. Safe after a fork, and from several threads."""
 
 import functools
 import os
@@ -9,23 +9,23 @@ from itertools import repeat, starmap
 from queue import SimpleQueue
 
 Calls = Sequence[Callable[[], object]]
-"""What one block asks for, in this order."""
+"""Calls of one block, in order."""
 
 _Offer = tuple[threading.Lock, Iterator[Calls], "SimpleQueue[BaseException | None]"]
-"""Taken by whoever gets the lock; blocks that nobody has begun; where a helper says that it is done."""
+"""Lock that one helper acquires; blocks that are not begun; queue for the result of a helper."""
 
 
 _most: list[int] = []
 
 
 def cores() -> int:
-    """Cores that this process may use: all that the system gives it, or fewer by `limit`."""
+    """Return the number of cores that this process may use: those of the system, or fewer by `limit`."""
     there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min([there, *_most])
 
 
 def python_threads() -> int:
-    """Threads for calls so short that they wait for Python's lock in between.
+    """Return the number of threads for short calls, between which threads wait for Python's global lock.
 
     On 16 cores the harmonics of a disc took 0.6 of the time of one thread with 4 threads, 0.7 with 8.
     """
@@ -33,9 +33,9 @@ def python_threads() -> int:
 
 
 def limit(count: int | None) -> None:
-    """Use at most `count` cores from now on, >= 1; None for all. What is already shared out among threads stays so.
+    """Use at most `count` cores in future, >= 1; None for all. Computations in progress are not changed.
 
-    For processes that share a machine: each would otherwise take all of its cores.
+    This is for processes that share a machine, each of which would use all cores.
     """
     if count is not None and count < 1:
         raise ValueError(f"the limit is {count} cores; allowed: at least 1, or None")
@@ -44,16 +44,16 @@ def limit(count: int | None) -> None:
 
 @functools.cache
 def pool() -> ThreadPoolExecutor:
-    """Threads shared by all evaluators of this process."""
+    """Return the thread pool shared by all evaluators of this process."""
     return ThreadPoolExecutor(cores(), thread_name_prefix="palmfield-field")
 
 
 def share(blocks: Sequence[Calls], threads: int) -> None:
     """Do all blocks, on this thread and on up to `threads` - 1 helpers; return when all are done.
 
-    It takes 20 us where an executor takes 100: this thread works too, and what passes between threads is in C. The
-    threads share one iterator, so that a slow core does fewer blocks, and a helper that comes late does none.
-    Raises the first error of a block, when no helper works any more.
+    It takes 20 us; an executor takes 100 us, because here this thread works too and queues are in C. The threads share
+    one iterator, so that a slow core does fewer blocks, and a late helper does none.
+    Raises the first error of a block after all helpers have stopped.
     """
     helpers = min(threads, len(blocks)) - 1
     if helpers < 1:
@@ -75,13 +75,13 @@ def share(blocks: Sequence[Calls], threads: int) -> None:
                 call()
     except BaseException as error:
         errors.append(error)
-    # An offer that no helper has taken yet is taken back; the others still work on the caller's arrays
+    # Withdraw offers that no helper has taken; wait for the others, which use the caller's arrays
     waited = len(errors)
     for offer in offers:
         waited += not offer.acquire(blocking=False)
     while len(errors) < waited:
         try:
-            # In C from the queue into the list, so that Ctrl-C can't fall in between and one be waited for for ever
+            # From the queue to the list in C, so that Ctrl-C cannot lose a result and cause an endless wait
             errors.extend(starmap(done.get, repeat((), waited - len(errors))))
         except KeyboardInterrupt as error:
             errors.append(error)
@@ -92,12 +92,12 @@ def share(blocks: Sequence[Calls], threads: int) -> None:
                 raise failure
     finally:
         failure = None
-        errors.clear()  # an error holds this frame, which would hold the error
+        errors.clear()  # an error refers to this frame, which would refer to the error
 
 
 @functools.cache
 def _helpers() -> "SimpleQueue[_Offer]":
-    """The queue from which the helpers of this process, as many as cores, take offers."""
+    """Return the queue of offers for the helpers of this process, one for each core."""
     waiting = SimpleQueue[_Offer]()
     for i in range(cores()):
         threading.Thread(target=_help, args=(waiting,), name=f"palmfield-helper-{i}", daemon=True).start()
@@ -111,11 +111,11 @@ def _help(waiting: "SimpleQueue[_Offer]") -> None:
             continue
         error = _do_all(todo)
         done.put(error)
-        del offer, todo, done, error  # else it would keep the last caller's arrays until the next call
+        del offer, todo, done, error  # otherwise it would keep the arrays of the last caller alive until the next call
 
 
 def _do_all(todo: Iterator[Calls]) -> BaseException | None:
-    """Do what is left; returns what it raised. A function of its own, so that none of the calls outlives it."""
+    """Do the remaining blocks; return their error. A separate function, so that no references to calls remain."""
     try:
         for calls in todo:
             for call in calls:
@@ -131,5 +131,5 @@ def _forget() -> None:
 
 
 if hasattr(os, "register_at_fork"):
-    # A child inherits pool and queue but none of the threads, and would wait for them for ever
+    # A child process inherits pool and queue without threads, and would wait for them for ever
     os.register_at_fork(after_in_child=_forget)

@@ -1,4 +1,4 @@
-"""Where things are: rigid transforms between frames, and placements that can be compared and kept as keys."""
+"""Rigid transforms between frames, and placements that can be compared and used as keys."""
 
 from typing import NamedTuple
 
@@ -19,24 +19,24 @@ class Transform(NamedTuple):
     rotation: Float
 
     def points(self, x: Float) -> Float:
-        """Positions given in this frame [m], shape (n, 3) or (3,), in the outer one."""
+        """Transform positions [m], shape (n, 3) or (3,), from this frame to the outer one."""
         return x @ self.rotation.T + self.position
 
     def vectors(self, x: Float) -> Float:
-        """Directions given in this frame, shape (n, 3) or (3,), in the outer one."""
+        """Transform directions, shape (n, 3) or (3,), from this frame to the outer one."""
         return x @ self.rotation.T
 
     def surface(self, points: Float, normals: Float) -> tuple[Float, Float]:
-        """Positions [m] and directions given in this frame, both of shape (n, 3), in the outer one."""
+        """Transform positions [m] and directions, both of shape (n, 3), from this frame to the outer one."""
         turn = self.rotation.T
         return points @ turn + self.position, normals @ turn
 
     def inverse_points(self, x: Float) -> Float:
-        """Positions given in the outer frame [m], shape (n, 3) or (3,), in this one."""
+        """Transform positions [m], shape (n, 3) or (3,), from the outer frame to this one."""
         return (x - self.position) @ self.rotation
 
     def inverse_vectors(self, x: Float) -> Float:
-        """Directions given in the outer frame, shape (n, 3) or (3,), in this one."""
+        """Transform directions, shape (n, 3) or (3,), from the outer frame to this one."""
         return x @ self.rotation
 
 
@@ -44,11 +44,11 @@ IDENTITY = Transform(np.zeros(3), np.eye(3))
 
 
 class Placement(NamedTuple):
-    """Where an array or a body is in the frame of something else, as numbers that can be compared and hashed.
+    """Pose of an array or body in another frame, as numbers that can be compared and hashed.
 
     position: [m], 3 numbers; rotation: 9 numbers by row
-    sites: position [m] and emitting direction of each transducer in the array's own frame, for layout `sites`, else
-        empty; they may move against one another
+    sites: position [m] and emitting direction of each transducer in the array frame, for layout `sites`, else
+        empty; transducers may move relative to each other
     """
 
     position: Numbers
@@ -57,22 +57,22 @@ class Placement(NamedTuple):
 
     @property
     def transform(self) -> Transform:
-        """The same as arrays."""
+        """The placement as a Transform."""
         return Transform(np.array(self.position), np.reshape(self.rotation, (3, 3)))
 
     @staticmethod
     def of(transform: Transform, sites: tuple[tuple[Numbers, Numbers], ...] = ()) -> "Placement":
-        """From arrays."""
+        """Return the placement of a Transform."""
         return Placement(tuple(transform.position.tolist()), tuple(transform.rotation.ravel().tolist()), sites)
 
 
 def relative(seen_from: Transform, pose: Transform) -> Transform:
-    """A frame as seen from another; both are given in one outer frame."""
+    """Return a frame relative to another; both are given in one outer frame."""
     return Transform(seen_from.rotation.T @ (pose.position - seen_from.position), seen_from.rotation.T @ pose.rotation)
 
 
 def rotation_matrix(quaternion: Float) -> Float:
-    """Rotation matrix, shape (3, 3), of a unit quaternion (w, x, y, z)."""
+    """Return the rotation matrix, shape (3, 3), of a unit quaternion (w, x, y, z)."""
     import mujoco  # loads palmfield's plugins, which need this module
 
     matrix = np.empty(9)
@@ -81,7 +81,7 @@ def rotation_matrix(quaternion: Float) -> Float:
 
 
 def quaternion(rotation: Float) -> Float:
-    """Unit quaternion (w, x, y, z), w >= 0, of a rotation matrix, shape (3, 3)."""
+    """Return the unit quaternion (w, x, y, z), w >= 0, of a rotation matrix, shape (3, 3)."""
     import mujoco
 
     q = np.empty(4)
@@ -90,15 +90,15 @@ def quaternion(rotation: Float) -> Float:
 
 
 def facing(directions: Float | Float32) -> Float:
-    """Unit quaternions (w, x, y, z) that turn the z axis to unit vectors, (n, 3) -> (n, 4)."""
+    """Return unit quaternions (w, x, y, z) that rotate the z axis to unit vectors, (n, 3) -> (n, 4)."""
     x, y, z = np.asarray(directions, np.float64).T
     half = np.column_stack([1.0 + z, -y, x, np.zeros(len(z))])
-    # Straight down: half a turn about x
+    # Opposite to z: half a turn about x
     half[z < -1.0 + 1e-9] = (0.0, 1.0, 0.0, 0.0)
     return half / np.linalg.norm(half, axis=1, keepdims=True)
 
 
 def corners_of(points: Float) -> Float:
-    """Corners of the box round points, shape (n, 3), along the axes, shape (8, 3)."""
+    """Return the corners of the axis-aligned bounding box of points, shape (n, 3) -> (8, 3)."""
     ends = np.array([points.min(axis=0), points.max(axis=0)])
     return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)

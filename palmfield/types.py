@@ -1,4 +1,4 @@
-"""The data that flows from stage to stage (see docs/architecture.md). SI units; e^{-i w t}, so a delay is +phase."""
+"""Data types that stages exchange (see docs/architecture.md). SI units; e^{-i w t}, so a delay is +phase."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -22,15 +22,15 @@ class Air:
 
 
 Kind = Literal["measured", "data sheet", "inferred", "assumed"]
-"""Where a number comes from: a laboratory's calibration, a maker's data sheet, other published figures, or practice."""
+"""Origin of a number: calibration by a laboratory, data sheet, other published figures, or practice."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number that is known within a range.
+    """A number with its range.
 
-    low, high: ends of the range, in the number's own unit, low <= value <= high
-    kind: how the number is known; source: from where, in words
+    low, high: ends of the range, in the unit of the number, low <= value <= high
+    kind: origin of the number; source: in words
     """
 
     value: float
@@ -52,11 +52,11 @@ class Array:
     normals: unit emitting directions, shape (n, 3), float64
     p0_Pa_m: peak pressure of one transducer at 1 m on its axis at full drive, without absorption [Pa m]
     piston_radius_m: radius of the baffled piston whose directivity is used [m]; 0 is a point source
-    address: position of each transducer in the board's byte order, shape (n,), or None
-    gain: complex factor of each transducer's sound, shape (n,): 0 where it is dead, -1 where it is wired the other way
-        round; None is 1 for all
-    directivity_table: measured directivity in place of the piston's, shape (m, 2): angle off the axis [deg] and
-        amplitude relative to that on the axis; None is the form of `directivity`
+    address: index of each transducer in the byte order of the board, shape (n,), or None
+    gain: complex factor of the sound of each transducer, shape (n,): 0 for a dead one, -1 for reversed polarity;
+        None is 1 for all
+    directivity_table: measured directivity that replaces that of the piston, shape (m, 2): angle to the axis [deg] and
+        amplitude relative to the axis; None: use `directivity`
     directivity: name of a form of `palmfield.acoustics.directivities`
     """
 
@@ -81,7 +81,7 @@ class Field:
 
     pressure: complex peak pressure [Pa], shape (n,), complex64
     gradient: its gradient [Pa/m], shape (n, 3), complex64, or None
-    Of points on a device both are Warp arrays there, of wp.vec2, (real, imaginary).
+    For points on a device both are Warp arrays there, of wp.vec2 (real, imaginary).
     """
 
     pressure: NDArray[np.complex64]
@@ -109,7 +109,7 @@ class Patch:
     inward: unit directions into the body, shape (n, 3), float64
     depth: thickness of the layer along `inward` [m], shape (n,), float64
     rim: True on vertices of the lateral boundary, shape (n,), bool
-    axis: symmetry axis direction for roller sides (unit, outward), shape (3,), or None where there is none
+    axis: symmetry axis direction for roller sides (unit, outward), shape (3,), or None
     report: facts for the plan and the result file (share thinned, smallest quality, ...)
     """
 
@@ -123,7 +123,7 @@ class Patch:
 
 
 def json_value(value: object) -> object:
-    """NumPy's scalars and arrays as JSON has them."""
+    """Return NumPy scalars and arrays as values for JSON."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} cannot be written as JSON")

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all: where the disk is full, what had that name before stays as it was."""
+"""Write files completely or not at all: if the disk is full, an existing file is unchanged."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,10 +9,10 @@ from palmfield.errors import unwritable
 
 @contextmanager
 def whole(path: str | Path) -> Iterator[Path]:
-    """A path beside a file, to be written within the block, which gets the file's name at its end.
+    """Yield a temporary path to be written in the block, which is renamed to `path` at its end.
 
-    On any error, Ctrl-C among them, it is removed, and the error goes on. What is no file, as /dev/stdout, is written
-    to at once.
+    After an error, including Ctrl-C, it is removed, and the error is raised. If `path` is not a regular file, such as
+    /dev/stdout, it is written directly.
     """
     file = Path(path)
     if file.exists() and not file.is_file():
@@ -29,7 +29,7 @@ def whole(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def writing(path: str | Path) -> Iterator[None]:
-    """What the system says within the block of a file or folder that can't be written becomes an OutputError."""
+    """Convert system errors in the block, which writes a file or folder, to OutputError."""
     try:
         yield
     except OSError as error:
@@ -43,7 +43,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def made_folder(path: str | Path) -> Path:
-    """The folder, with those around it made where they are missing. Raises OutputError if that fails."""
+    """Create a folder and its missing parents, and return it. Raises OutputError if that fails."""
     with writing(path):
         Path(path).mkdir(parents=True, exist_ok=True)
     return Path(path)

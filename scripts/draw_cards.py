@@ -85,7 +85,8 @@ def main() -> None:
             "",
             "## A glTF with joints and weights",
             "",
-            "A hand of three joints under a turned and scaled armature, split along every face.",
+            "The mesh is a hand with three joints, under a rotated and scaled armature, split along every face. Its "
+            "lines on layers and scenes are left out here.",
             "",
             "```",
             gltf_text(folder).rstrip(),
@@ -198,7 +199,8 @@ def gltf_text(folder: Path) -> str:
     rigged(path)
     card = report_card(path)
     draw_card(card, IMAGES / "card_gltf.png")
-    return as_text(card.facts).replace(f"{folder}/", "")
+    lines = as_text(card.facts).replace(f"{folder}/", "").split("\n")
+    return "\n".join(line for line in lines if not line.startswith(("layer ", "in a scene ")))
 
 
 def draw_foreign(cards: dict[str, ReportCard], path: Path) -> None:

@@ -17,6 +17,7 @@ from palmfield.hand.labels import REGIONS, depth_by_region, region_labels
 from palmfield.hand.measure import measures
 from palmfield.hand.preset import HandPreset, load_preset, preset_names
 from palmfield.hand.surface import hand_surface
+from palmfield.studies.bench.table import keep_rows
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EDGE_m = 0.003
@@ -24,6 +25,9 @@ EDGE_m = 0.003
 AROUND_m = {"men": (0.2123, 0.0102), "women": (0.1866, 0.0088)}
 DEVIATIONS = {"p05": -1.645, "p50": 0.0, "p95": 1.645}
 DEPTH_PRESETS = ("open_men_p50", "open_women_p50")
+SHOWN = ("thumb_pulp", "index_pulp", "middle_pulp", "ring_pulp", "little_pulp", "index_proximal_palmar", "thenar",
+         "hypothenar", "index_middle_pad", "middle_ring_pad", "ring_little_pad", "palm_centre", "dorsum")  # fmt: skip
+"""Regions on the page; the file of depths has all."""
 # Neighbours in the list of regions are mostly neighbours on the hand: hues far apart for them.
 COLOURS = plt.get_cmap("gist_rainbow")(np.arange(len(REGIONS)) * 0.381966 % 1.0)
 
@@ -33,7 +37,7 @@ def main() -> None:
     page = DOCS / "hands.md"
     before, _, rest = page.read_text(encoding="utf-8").partition("<!-- tables -->\n")
     _, mark, after = rest.partition("<!-- end of tables -->")
-    tables = "\n".join(["<!-- tables -->", *measure_table(), "", *depth_table(), ""])
+    tables = "\n".join(["<!-- tables -->", *measure_table(), "", *shown_depths(depth_table()), ""])
     page.write_text(before + tables + mark + after, encoding="utf-8")
 
 
@@ -63,8 +67,11 @@ def draw(target: Path) -> None:
 
 
 def measure_table() -> list[str]:
-    """Measures of the meshes beside those asked for, in mm."""
-    lines = ["| mm, mesh / asked | length | breadth | wrist around | knuckles around / ANSUR II |", "|---" * 5 + "|"]
+    """Measures of the meshes with those of the presets, in mm."""
+    lines = [
+        "| mesh / preset [mm] | length | breadth | girth of the wrist | girth at the knuckles / ANSUR II |",
+        "|---" * 5 + "|",
+    ]
     for preset in right_hands():
         found = measures(hand_surface(preset, EDGE_m))
         _, group, percentile = preset.name.split("_")
@@ -82,13 +89,19 @@ def measure_table() -> list[str]:
 
 def depth_table() -> list[str]:
     """Depth from skin to bone by region, in mm."""
-    lines = ["| least, p10, median, mm | `" + "` | `".join(DEPTH_PRESETS) + "` |", "|---" * 3 + "|"]
+    lines = ["| smallest, p10, median [mm] | `" + "` | `".join(DEPTH_PRESETS) + "` |", "|---" * 3 + "|"]
     presets = [load_preset(name) for name in DEPTH_PRESETS]
     depths = [depth_by_region(articulate(preset), hand_surface(preset, EDGE_m)) for preset in presets]
     for region in REGIONS:
         cells = [", ".join(f"{1e3 * value:.1f}" for value in depth[region]) for depth in depths]
         lines.append(f"| `{region}` | {' | '.join(cells)} |")
     return lines
+
+
+def shown_depths(table: list[str]) -> list[str]:
+    """Write all rows of depths to a file; return those for the page, with the link to the file."""
+    rows = [line for line in table[2:] if line.split("`")[1] in SHOWN]
+    return [*table[:2], *rows, "", f"{keep_rows(DOCS / 'hands.md', table, 'hand_depths')} has all regions."]
 
 
 if __name__ == "__main__":

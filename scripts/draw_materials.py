@@ -3,6 +3,7 @@
 python scripts/draw_materials.py
 """
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -373,12 +374,24 @@ def write(name: str, figure: Figure) -> None:
     print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
 
 
+def described() -> dict[str, list[str]]:
+    """Names of presets by their source; those that differ only in their Asker hardness are together."""
+    found: dict[str, list[str]] = {}
+    for name, material in PRESETS.items():
+        found.setdefault(re.sub(r", Asker C \d+", " (the name has its Asker C hardness)", material.source), []).append(
+            name
+        )
+    return found
+
+
 def page(traded: dict[int, tuple[list[float], list[float]]], fits: list[tuple[int, float, float]]) -> str:
     commit = subprocess.run(
         ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout.strip()
     closest = {count: min(m for m, d in zip(*pair, strict=True) if d > 0.067) for count, pair in traded.items()}
-    sources = "\n".join(f"- **{name}**: {material.source}." for name, material in PRESETS.items())
+    sources = "\n".join(
+        f"- {', '.join(f'**{name}**' for name in names)}: {text}." for text, names in described().items()
+    )
     misfits = "; ".join(f"{n} branches {100 * s:.2g} % storage, {100 * lo:.2g} % loss" for n, s, lo in fits)
     blocks = [
         "# Skin materials",

@@ -18,31 +18,39 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parents[1]
 HEAD = """# Licences of what palmfield needs
 
-palmfield is under the Apache License 2.0. Made by `python scripts/list_licences.py` from the metadata of the installed
-packages; *through* is the package that requires it, if palmfield does not.
+For everyone who passes palmfield on. palmfield is under the Apache License 2.0. This page lists the licences of the
+packages that it needs. `python scripts/list_licences.py` makes the page from the metadata of the installed
+packages. If palmfield does not require a package itself, the last column names the package that does.
 
-| package | licence | through |
+| package | licence | required by |
 |---|---|---|
 """
 BUNDLES = """
 ## What wheels bundle
 
-Shared libraries in wheels for Linux on x86-64. Those under the GPL in a plain install are GCC's run-time libraries,
-whose exception lets any program use them. Code linked into a wheel is listed in its folder of licences. That of
-mujoco is permissive, with Eigen under the MPL and Glslang's parser, made by Bison, under the GPL with its exception.
-That of warp-lang is permissive except NVIDIA's CUDA run time, NVRTC and libmathdx, which are proprietary, may be
-passed on with Warp free of charge, and do nothing without an NVIDIA GPU.
+The table lists the shared libraries in wheels for Linux on x86-64. A plain install has libraries under the GPL only
+from GCC. These are GCC's run-time libraries, whose exception lets any program use them.
 
-| wheel | library | licence |
+Other code is linked into the wheels; their folders of licences list it. Code in the wheel of mujoco has permissive
+licences, with two exceptions: Eigen is under the MPL, and the parser of Glslang, made by Bison, is under the GPL
+with the exception of Bison. Code in the wheel of warp-lang has permissive licences, except NVIDIA's CUDA run time,
+NVRTC and libmathdx. These three are proprietary. They may be passed on with Warp free of charge, and do nothing
+without an NVIDIA GPU.
+
+| wheel | libraries | licence |
 |---|---|---|
 """
 EXTRAS = """
 ## Extras
 
-Installed by name only (`pip install 'palmfield[sweep]'`), without their own dependencies, except two. **`mkl`**
-brings Intel's libraries (mkl, intel-openmp, tbb), free of charge and not open source, the only proprietary ones.
-**`video`**: wheels of PyAV (BSD) bundle FFmpeg (LGPL) with x264 and x265 (GPL). palmfield's wheel has none of them;
-whoever passes on an environment with them passes on software under the GPL.
+Extras are installed only if you name them (`pip install 'palmfield[sweep]'`). The table lists the packages of each
+extra without their dependencies. Two extras have special licences:
+
+- **`mkl`** installs Intel's libraries (mkl, intel-openmp, tbb). They are free of charge but not open source. They
+  are the only proprietary packages of the extras.
+- **`video`** installs PyAV (BSD), whose wheels bundle FFmpeg (LGPL) with x264 and x265 (GPL). The wheel of
+  palmfield contains none of them. If you pass on an environment with this extra, you pass on software under the
+  GPL.
 
 | extra | package | licence |
 |---|---|---|
@@ -168,10 +176,19 @@ def bundled(name: str) -> list[str]:
     return sorted({match[1] for match in matches if match})
 
 
+def by_licence(libraries: list[str]) -> list[tuple[str, str]]:
+    """Names of libraries with one licence, and that licence; each library under the GPL by itself."""
+    found: dict[str, list[str]] = {}
+    for one in libraries:
+        text = LIBRARIES[one]
+        found.setdefault(f"{one}: {text}" if text.startswith("GPL") else text, []).append(one)
+    return [(", ".join(names), LIBRARIES[names[0]]) for names in found.values()]
+
+
 def page() -> str:
     rows = [f"| {name} | {licence(name)} | {through} |" for name, through in sorted(needed().items())]
     wheels = {name: bundled(name) for name in [*sorted(needed()), "av"]}
-    libraries = [f"| {name} | {one} | {LIBRARIES[one]} |" for name, found in wheels.items() for one in found]
+    libraries = [f"| {name} | {one} | {text} |" for name, found in wheels.items() for one, text in by_licence(found)]
     more = [
         f"| {extra} | {name} | {licence(name)} |"
         for extra, packages in sorted(extras().items())

@@ -3,7 +3,7 @@ import threading
 
 import pytest
 
-from palmfield.interrupts import interrupts_held
+from palmfield.interrupts import interrupts_delayed
 
 
 @pytest.fixture(autouse=True)
@@ -16,7 +16,7 @@ def python_raises():
 
 def test_ctrl_c_waits_until_it_is_asked_for():
     done = []
-    with pytest.raises(KeyboardInterrupt), interrupts_held() as check:
+    with pytest.raises(KeyboardInterrupt), interrupts_delayed() as check:
         signal.raise_signal(signal.SIGINT)
         done.append("the step")
         check()
@@ -26,20 +26,20 @@ def test_ctrl_c_waits_until_it_is_asked_for():
 
 def test_ctrl_c_is_not_lost_at_the_end():
     before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), interrupts_held():
+    with pytest.raises(KeyboardInterrupt), interrupts_delayed():
         signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_an_error_comes_first():
-    with pytest.raises(ValueError, match="first"), interrupts_held():
+    with pytest.raises(ValueError, match="first"), interrupts_delayed():
         signal.raise_signal(signal.SIGINT)
         raise ValueError("first")
 
 
 def test_another_thread_goes_on():
     def work():
-        with interrupts_held() as check:
+        with interrupts_delayed() as check:
             check()
             done.append(True)
 
@@ -52,8 +52,8 @@ def test_another_thread_goes_on():
 
 def test_inside_another_block_the_outer_one_raises():
     done = []
-    with pytest.raises(KeyboardInterrupt), interrupts_held() as check:
-        with interrupts_held() as inner:
+    with pytest.raises(KeyboardInterrupt), interrupts_delayed() as check:
+        with interrupts_delayed() as inner:
             signal.raise_signal(signal.SIGINT)
             inner()
             done.append("inner")
@@ -61,7 +61,7 @@ def test_inside_another_block_the_outer_one_raises():
         check()
         done.append("no more")
     assert done == ["inner", "outer"]
-    with pytest.raises(KeyboardInterrupt), interrupts_held() as check:  # and the next block holds again
+    with pytest.raises(KeyboardInterrupt), interrupts_delayed() as check:  # and the next block holds again
         signal.raise_signal(signal.SIGINT)
         done.append("next")
     assert done[-1] == "next"
@@ -70,7 +70,7 @@ def test_inside_another_block_the_outer_one_raises():
 def test_a_handler_of_the_program_is_called_when_asked_for():
     seen = []
     signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
-    with interrupts_held() as check:
+    with interrupts_delayed() as check:
         signal.raise_signal(signal.SIGINT)
         assert seen == []
         check()
@@ -81,7 +81,7 @@ def test_a_handler_of_the_program_is_called_when_asked_for():
 
 def test_a_process_that_ignores_ctrl_c_still_does():
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with interrupts_held() as check:
+    with interrupts_delayed() as check:
         signal.raise_signal(signal.SIGINT)
         check()
     assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN

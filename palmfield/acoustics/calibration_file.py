@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from palmfield.acoustics.arrays import LAYOUTS, layout_of_version
 from palmfield.acoustics.placement import placed
 from palmfield.errors import SceneError, naming
-from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes, reading
+from palmfield.input_files import MOST_SETTINGS_BYTES, read_bytes, reading
 from palmfield.types import Array, Complex, Estimate
 from palmfield.whole_files import write_text
 

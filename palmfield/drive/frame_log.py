@@ -24,7 +24,7 @@ from palmfield.drive.board import Board
 from palmfield.drive.boards import board_of
 from palmfield.drive.log_lines import log_line
 from palmfield.errors import SceneError
-from palmfield.given_files import plain, read_text, reading, regular
+from palmfield.input_files import plain, read_text, reading, regular
 from palmfield.types import Air, Array, Complex, Float
 from palmfield.whole_files import writing
 

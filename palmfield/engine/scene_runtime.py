@@ -1,7 +1,8 @@
 """A scene in one mjData: reads poses, stores the state in MuJoCo's plugin state, and calls the simulation."""
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
+from operator import methodcaller
 from typing import TYPE_CHECKING, Literal
 
 import mujoco
@@ -28,6 +29,7 @@ from palmfield.types import Complex, Float
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+AS_BYTES = methodcaller("tobytes")
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING) | int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
 """MuJoCo flags that together disable all passive forces."""
@@ -70,13 +72,14 @@ class SceneRuntime:
         self.taken: tuple[tuple[Literal["site", "body"], NDArray[np.int64], slice], ...]
         self.taken = ("site", self._sites, slice(0, sites)), ("body", self._bodies, slice(sites, None))
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
+        self._reading = self.reading(self._positions, self._matrices)
         self._to_step = Frames(self._positions[None], self._matrices[None], self._posed_in)
         self.skins_rest = False
         self.gathers = False
         self._gathered: tuple[PosedScene, float, int] | None = None
         self._posed: PosedScene = self.work.reference
-        self._numbers = self._present = b""
-        self._begun: tuple[float, bytes, bytes] | None = None
+        self._numbers = b""
+        self._begun: tuple[float, bytes, bytes, bytes] | None = None
         self._places: dict[str, SensorPlace] = {}
         self.check_options()
         if like is None:
@@ -104,12 +107,22 @@ class SceneRuntime:
         self._places = {} if beside is None else beside._places
         self.model, self.work = model, work
         self._positions, self._matrices = frames
+        self._reading = self.reading(*frames)
         self.__dict__["state"] = state
         self.forget()
 
     def forget(self) -> None:
         """Drop the last pose."""
         self._posed, self._numbers, self._begun = self.work.reference, b"", None
+
+    def reading(self, positions: Float, matrices: Float) -> list[Callable[[], object]]:
+        """Return calls that copy the present world frames into arrays of shapes (frames, 3) and (frames, 9)."""
+        calls = []
+        for kind, chosen, rows in self.taken:
+            for values, result in zip(self.view.frames[kind], (positions, matrices), strict=True):
+                # Mode "clip", because other modes use a buffer
+                calls.append(partial(values.take, chosen, 0, result[rows], "clip"))
+        return calls
 
     def prepare(self, bar: "Progress") -> None:
         """Make the steppers of the skins that do not exist yet; a bar shows their expected time."""
@@ -157,11 +170,17 @@ class SceneRuntime:
 
         Raises SceneError if a body reaches into an array.
         """
-        return self._posed_at(self._frames())
+        for read in self._reading:
+            read()
+        return self._posed_at()
 
-    def _posed_at(self, numbers: bytes) -> PosedScene:
+    def _posed_in(self, here: Bool) -> dict[int, PosedScene]:
+        """Return the PosedScene of the frames that were read last, in the selected worlds; here: shape (1,)."""
+        return {0: self._posed_at()} if here[0] else {}
+
+    def _posed_at(self) -> PosedScene:
         """Return the PosedScene of the frames that were read last."""
-        last = self._posed
+        last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
         if numbers == self._numbers:
             return last
         rotations = self._matrices.reshape(-1, 3, 3)
@@ -171,27 +190,15 @@ class SceneRuntime:
         self._posed, self._numbers = posed, numbers
         return posed
 
-    def _posed_in(self, here: Bool) -> dict[int, PosedScene]:
-        """Return the present PosedScene of the selected worlds; here: shape (1,)."""
-        return {0: self._posed_at(self._present)} if here[0] else {}
-
-    def _frames(self) -> bytes:
-        """Read the present frames of MuJoCo; return their numbers as bytes."""
-        for kind, chosen, part in self.taken:
-            positions, matrices = self.view.frames[kind]
-            # Mode "clip", because other modes use a buffer
-            positions.take(chosen, 0, self._positions[part], "clip")
-            matrices.take(chosen, 0, self._matrices[part], "clip")
-        self._present = self._positions.tobytes() + self._matrices.tobytes()
-        return self._present
-
     def _begin(self, t0: float, anew: bool) -> None:
         """Begin the step at t0 [s] in the present pose and state; a step that has begun is repeated only if `anew`."""
-        frames, begun, steps = self._frames(), self._begun, self.steps
-        if not anew and begun is not None and begun == (round(t0, 12), frames, steps.state_now()):
+        for read in self._reading:
+            read()
+        steps, now = self.steps, (round(t0, 12), self._positions.tobytes(), self._matrices.tobytes())
+        if not anew and self._begun == (*now, b"".join(map(AS_BYTES, steps.inputs))):
             return
         steps.begin(self._to_step, t0)
-        self._begun = round(t0, 12), frames, steps.state_now()
+        self._begun = *now, b"".join(map(AS_BYTES, steps.inputs))
 
     @property
     def amplitudes(self) -> Complex:
@@ -224,7 +231,7 @@ class SceneRuntime:
 
     def _note(self) -> None:
         """Record the start of a step; recorded steps in another pose are computed first."""
-        posed, now, step_s = self._posed_at(self._frames()), self.view.raw.time, self.spec.timestep_s
+        posed, now, step_s = self.posed, self.view.raw.time, self.spec.timestep_s
         if self._gathered is not None:
             before, begin, count = self._gathered
             if abs(now - begin - count * step_s) > 0.5 * step_s:

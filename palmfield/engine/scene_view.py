@@ -84,6 +84,7 @@ class SceneView:
         self._emission, self._radiation = Emission(runtime.model), Radiation(runtime.model)
         self._posed = runtime.work.reference
         self._positions, self._matrices = np.zeros((runtime.frames, 3)), np.zeros((runtime.frames, 9))
+        self._reading = runtime.reading(self._positions, self._matrices)
         self._last: tuple[tuple[float, bytes, bytes], _Moment] | None = None
         self._meshes: dict[int, _ColouredMesh] = {}
         self._evaluators: dict[tuple[int, int], tuple[PhasedArray, SurfaceArp]] = {}
@@ -173,9 +174,8 @@ class SceneView:
     def _now(self) -> _Moment:
         """Compute the exposure that begins at the time of MuJoCo."""
         runtime = self.runtime
-        for kind, chosen, part in runtime.taken:
-            positions, matrices = runtime.view.frames[kind]
-            self._positions[part], self._matrices[part] = positions[chosen], matrices[chosen]
+        for read in self._reading:
+            read()
         key = runtime.view.time, self._positions.tobytes(), self._matrices.tobytes()
         if self._last is not None and self._last[0] == key:
             return self._last[1]

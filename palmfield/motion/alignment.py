@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError, fault_of
-from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes, reading
+from palmfield.input_files import MOST_SETTINGS_BYTES, read_bytes, reading
 from palmfield.tables import read_table, taken
 from palmfield.transforms import Transform
 from palmfield.types import Float

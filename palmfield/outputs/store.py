@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 
 from palmfield.errors import OutputError, reason_of, unwritable
-from palmfield.interrupts import interrupts_held
+from palmfield.interrupts import interrupts_delayed
 from palmfield.outputs.netcdf import (
     UNREADABLE,
     image,
@@ -376,7 +376,7 @@ def _join_chunks(
     path: Path, head: Checked, attributes: dict[str, dict[str, Any]], chunks: list[Path], lengths: dict[str, int]
 ) -> None:
     """Write the result: variables without records, then the records of one chunk after the other."""
-    with interrupts_held() as check_interrupt, result_file(path, lengths) as (writer, disk):
+    with interrupts_delayed() as check_interrupt, result_file(path, lengths) as (writer, disk):
         writer.labels()
         writer.groups(head, attributes)
         writer.put(head, dict.fromkeys(RECORDS, 0))

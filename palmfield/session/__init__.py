@@ -1,11 +1,11 @@
-"""A scene as a user has it: opened, stepped, looked at, recorded.
+"""Open, step, inspect and record a scene.
 
 import palmfield
 sim = palmfield.Simulation("mjcf/scenes/palm_am200.xml")
 sim.run(0.01)
 print(sim.skin().displacement)
 
-`palmfield.load` and `palmfield.recover` are public there; here are the objects that they give and take.
+`palmfield.load` and `palmfield.recover` are public; this package contains the objects that they use.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""A scene whose hand is placed by the caller instead of its script."""
+"""Place the hand of a scene by the caller instead of its script."""
 
 import copy
 from collections.abc import Callable
@@ -17,13 +17,13 @@ from palmfield.simulation.posed_scene import PosedScene
 
 
 class LiveScene:
-    """A copy of a scene with its only articulated moving hand.
+    """A copy of a scene with exactly one moving hand.
 
-    runtime: of the copy; hand: its joints; script: the scene's own motion of the hand; motion: name of its instance
+    runtime: of the copy; hand: its joints; script: scripted motion of the hand; motion: name of its instance
     """
 
     def __init__(self, view: Preview) -> None:
-        """Raises SceneError for a scene that moves no hand, or several."""
+        """Copy a scene. Raises SceneError if it moves no hand or several."""
         self._data = copy.copy(view.data)
         world = world_of(self._data)
         assert world is not None and world.scene is not None
@@ -49,7 +49,7 @@ class LiveScene:
 
 
 def scripts(data: mujoco.MjData) -> dict[str, MotionModule]:
-    """Return the modules that move bodies of some data by script, by instance; a new `motion` of one acts at once."""
+    """Return the modules that move bodies by script, by instance; assigning `motion` of a module acts at once."""
     world = world_of(data)
     assert world is not None
     names = {number: name for number, _, name in world.model.instances()}

@@ -1,4 +1,4 @@
-"""The moment of a run with the highest ARP on a skin, and its places."""
+"""Describe the moment of the highest ARP on a skin, and its points."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,8 @@ from palmfield.types import Complex, Float
 class LoudestMoment:
     """The moment of a run with the highest ARP on a skin.
 
-    time_s: by MuJoCo's clock [s]; posed: the pose then
-    drive: emission of all transducers, relative to full drive, shape (N,); factor: of its ARP
+    time_s: MuJoCo time [s]; posed: pose at this time
+    drive: emission of all transducers relative to full drive, shape (N,); factor: of the ARP
     """
 
     time_s: float
@@ -26,7 +26,7 @@ class LoudestMoment:
 
 
 def nearest_focus(foci: Float, nodes: Float) -> Float:
-    """Return the point, of shape (3,) or (k, 3), that is nearest to a skin's nodes, shape (S, 3); shape (3,)."""
+    """Return the focus, of shape (3,) or (k, 3), closest to the nodes of a skin, shape (S, 3); shape (3,)."""
     places = np.atleast_2d(foci)
     nearest: Float = places[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in places]))]
     return nearest
@@ -35,7 +35,7 @@ def nearest_focus(foci: Float, nodes: Float) -> Float:
 def loudest_place(posed: PosedScene, skin: int, radiation: Radiation, drive: Complex) -> tuple[Float, Float]:
     """Return a node with the highest ARP on a skin under a drive of all transducers (N,), and its outward normal.
 
-    Both in the frame of the first array, shapes (3,) [m]; the first node in silence.
+    Both are in the frame of the first array, shapes (3,) [m]. In silence it is the first node.
     """
     nodes, outwards = posed.skins[skin].nodes
     highest = int(radiation.on(posed, skin, "nodes", drive).arp.argmax())
@@ -43,7 +43,7 @@ def loudest_place(posed: PosedScene, skin: int, radiation: Radiation, drive: Com
 
 
 def place_under_focus(model: HapticModel, skin: int, loudest: LoudestMoment) -> Float:
-    """Return the place of the resting skin nearest to a focus at the loudest moment, body frame [m], shape (3,)."""
+    """Return the point of the resting skin closest to a focus at the loudest moment, body frame [m], shape (3,)."""
     posed = loudest.posed.skins[skin]
     nodes = posed.nodes[0]
     foci = []

@@ -1,4 +1,4 @@
-"""Migrate scenes of the last version: renamed keys are rewritten, all else is unchanged."""
+"""Migrate scenes of the last version: rewrite renamed keys, and leave the rest unchanged."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -15,10 +15,10 @@ MOVED = {("palmfield.array", "compute"): "palmfield_device"}
 
 
 class Migrated(NamedTuple):
-    """The file of a scene in the terms of this version.
+    """The file of a scene with the names of this version.
 
-    text: of the file; changes: a sentence each, empty if there are none
-    others: included files with old terms
+    text: of the file; changes: one sentence each
+    others: included files with old names
     """
 
     text: bytes
@@ -27,9 +27,9 @@ class Migrated(NamedTuple):
 
 
 def migrated(path: Path) -> Migrated:
-    """Return the file of a scene with renamed keys and values under their new names; comments and layout are unchanged.
+    """Return the file of a scene with new names of keys and values; comments and layout are unchanged.
 
-    Raises SceneError for a file that cannot be read, or whose keys cannot all be kept.
+    Raises SceneError for a file that cannot be read, or in which keys contradict each other.
     """
     if not path.is_file():
         raise SceneError(no_scene(path))
@@ -44,11 +44,11 @@ def migrated(path: Path) -> Migrated:
         key, value = element.attributes["key"], element.attributes.get("value", "")
         to = MOVED.get((config.plugin, key))
         if to is not None:
-            known = moved.setdefault(to, (value, element))
-            if known[0] != value:
+            first = moved.setdefault(to, (value, element))
+            if first[0] != value:
                 raise SceneError(
-                    f"{element.where}: key '{key}' has value '{value}' here and '{known[0]}' in line "
-                    f"{known[1].line}, but is now one text '{to}' of the whole scene; make the values equal first"
+                    f"{element.where}: key '{key}' has value '{value}' here and '{first[0]}' in line "
+                    f"{first[1].line}, but is now one text '{to}' of the whole scene; make the values equal first"
                 )
             edits.append(without(data, element))
             continue
@@ -75,10 +75,10 @@ def migrated(path: Path) -> Migrated:
 
 
 def migrate(path: Path, out: Path | None = None, *, overwrite: bool = False) -> Migrated:
-    """Write the file of a scene in the terms of this version; without old terms no file is written.
+    """Write the file of a scene with the names of this version; if there are no old names, no file is written.
 
-    out: the file to write, the scene's own by default; overwrite: whether an existing file may be replaced
-    Raises SceneError as `migrated`, OutputError if a file may not be replaced or cannot be written.
+    out: file to write, default that of the scene; overwrite: whether an existing file may be replaced
+    Raises SceneError as `migrated` does, OutputError if a file may not be replaced or cannot be written.
     """
     result = migrated(path)
     target = path if out is None else out
@@ -94,7 +94,7 @@ def migrate(path: Path, out: Path | None = None, *, overwrite: bool = False) -> 
 
 
 def _keys(elements: list[Element]) -> list[tuple[type[Config], Element]]:
-    """Elements that set keys of palmfield's plugins, with the keys' model."""
+    """Return elements that set keys of palmfield's plugins, with the configuration model."""
     configs = {config.plugin: config for config in CONFIGS}
     result = []
     for element in elements:
@@ -119,7 +119,7 @@ def _renamed(config: type[Config], key: str, value: str) -> tuple[str, str]:
 
 
 def _custom_text(data: bytes, elements: list[Element], name: str, value: str) -> Edit:
-    """Return a new custom text: in the existing <custom>, or in a new one before the plugins."""
+    """Return the edit that adds a custom text to the existing <custom> or to a new one before the plugins."""
     quoted = value.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     text = f'<text name="{name}" data="{quoted}"/>'.encode()
     custom = next((e for e in elements if e.tag == "custom"), None)

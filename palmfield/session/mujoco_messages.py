@@ -1,4 +1,4 @@
-"""Translate MuJoCo's messages about a scene: with place, error and remedy."""
+"""Translate MuJoCo's messages about a scene: position, error and remedy."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ from palmfield.errors import did_you_mean
 from palmfield.session.scene_text import Element, SceneText
 
 AT = re.compile(r"\bElement(?: name)? '(?P<name>[^']*)'(?:, id -?\d+)?(?:, line (?P<line>\d+))?\s*$")
-"""The place at the end of a message: the element's tag while MuJoCo reads, its name while it compiles."""
+"""Position at the end of a message: tag of the element during parsing, its name during compilation."""
 
 
 def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence[str]) -> str:
@@ -36,9 +36,9 @@ def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence
 
 
 def _parts(message: str) -> tuple[str, str, int]:
-    """Return MuJoCo's message, its element (the tag while it reads, the name while it compiles), and its line.
+    """Return MuJoCo's message, its element (tag during parsing, name during compilation), and its line.
 
-    Line 0 if MuJoCo gives none, as in included files.
+    The line is 0 if MuJoCo gives none, as for included files.
     """
     plain = " ".join(message.split())
     while plain.startswith(("XML Error: ", "Error: ")):
@@ -50,7 +50,7 @@ def _parts(message: str) -> tuple[str, str, int]:
 
 
 def _element(said: str, name: str, line: int, text: SceneText) -> Element | None:
-    """The element that MuJoCo means. It counts no lines in included files, so each is searched."""
+    """Return the element of a message. MuJoCo gives no lines in included files, so all files are searched."""
     if line:
         return text.at(text.file, line, name)
     twice = re.search(r"repeated name '([^']*)' in plugin", said)
@@ -81,9 +81,9 @@ def _unknown_element(found: re.Match[str], element: Element | None, text: object
 
 
 def _unknown_attribute(found: re.Match[str], element: Element | None, text: object, plugins: object) -> str:
-    known = () if element is None else attributes(element.tag)
-    near = did_you_mean(found[1], known)
-    return f"has no attribute '{found[1]}'{near}" + (f"; allowed: {', '.join(known)}" if known else "; drop it")
+    names = () if element is None else attributes(element.tag)
+    near = did_you_mean(found[1], names)
+    return f"has no attribute '{found[1]}'{near}" + (f"; allowed: {', '.join(names)}" if names else "; drop it")
 
 
 def _value(attribute: str, element: Element | None) -> str:
@@ -155,8 +155,8 @@ FAULTS: tuple[tuple[str, str | Words], ...] = (
 
 @cache
 def _schema() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
-    """Return attributes and children of each MuJoCo element, by tag; a tag used in several places has those of all."""
-    known: dict[str, tuple[list[str], list[str]]] = {}
+    """Return attributes and children of each MuJoCo element, by tag; a tag used in several places has all of them."""
+    parts: dict[str, tuple[list[str], list[str]]] = {}
     holders: list[tuple[int, str]] = []
     tag = ""
     for line in mujoco.mj_printSchema(False, False).splitlines():
@@ -165,22 +165,22 @@ def _schema() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
         if head is not None:
             depth, tag = len(head[1]), head[2]
             holders = [holder for holder in holders if holder[0] < depth]
-            known.setdefault(tag, ([], []))
+            parts.setdefault(tag, ([], []))
             if holders:
-                known[holders[-1][1]][1].append(tag)
+                parts[holders[-1][1]][1].append(tag)
             holders.append((depth, tag))
         if tag:
-            known[tag][0].extend(words)
-    known["body"][1].append("body")
-    known["worldbody"] = ([], known["body"][1])
-    known["mujoco"][1][known["mujoco"][1].index("body")] = "worldbody"
+            parts[tag][0].extend(words)
+    parts["body"][1].append("body")
+    parts["worldbody"] = ([], parts["body"][1])
+    parts["mujoco"][1][parts["mujoco"][1].index("body")] = "worldbody"
     for tag in ("frame", "replicate"):
-        known.setdefault(tag, ([], []))[1].extend(known["body"][1])
-    for _, inside in known.values():
-        # These are allowed anywhere
+        parts.setdefault(tag, ([], []))[1].extend(parts["body"][1])
+    for _, inside in parts.values():
+        # These elements are allowed everywhere
         inside.extend(["include", "frame", "replicate"] if "geom" in inside else ["include"])
     unique = dict.fromkeys
-    return {tag: (tuple(unique(own)), tuple(unique(inside))) for tag, (own, inside) in known.items()}
+    return {tag: (tuple(unique(own)), tuple(unique(inside))) for tag, (own, inside) in parts.items()}
 
 
 def attributes(tag: str) -> tuple[str, ...]:

@@ -10,9 +10,9 @@ from palmfield.types import Float
 
 
 def mujoco_arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
-    """Return a model's bodies as variables of the group /mujoco/scene, without variables that would be empty.
+    """Return the bodies of a model as variables of group /mujoco/scene, without empty variables.
 
-    Bodies without a name are called body_N, geoms geom_N, joints joint_N.
+    Bodies without a name are named body_N, geoms geom_N, joints joint_N.
     """
     made: dict[str, NDArray[Any]] = {
         "body_name": _names(model, mujoco.mjtObj.mjOBJ_BODY, "body", model.nbody),
@@ -72,7 +72,7 @@ def _names(model: mujoco.MjModel, kind: mujoco.mjtObj, otherwise: str, count: in
 
 
 def _colours(model: mujoco.MjModel) -> Float:
-    """Return colours of geoms, with those of their materials if they have one, shape (geoms, 4)."""
+    """Return the colours of geoms, from their materials if any, shape (geoms, 4)."""
     own = model.geom_rgba.astype(np.float64)
     chosen = model.geom_matid >= 0
     own[chosen] = model.mat_rgba[model.geom_matid[chosen]]

@@ -1,4 +1,4 @@
-"""Make MuJoCo's model and data from a scene file, an MjSpec or a compiled model, with other values of keys."""
+"""Make MuJoCo's model and data from a scene file, an MjSpec or a compiled model, with changed keys."""
 
 import logging
 import re
@@ -28,11 +28,11 @@ Source: TypeAlias = str | Path | mujoco.MjSpec | mujoco.MjModel
 
 
 class Options(TypedDict, total=False):
-    """What a scene is opened with instead of its own values; None for those.
+    """Settings that replace those of a scene; None: no change.
 
-    device: where fields are computed (auto, cpu, cuda:N); accuracy: target relative error of the skin displacement, of
-        all skins; board: that plays the drive, with its layout and rate (`palmfield.session.other_board`)
-    keys: other values for keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
+    device: device of the fields (auto, cpu, cuda:N); accuracy: target relative error of the displacement of
+        all skins; board: board that plays the drive, with its layout and rate (`palmfield.session.other_board`)
+    keys: changed keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
         {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None, "" or () removes a key
     """
 
@@ -43,15 +43,15 @@ class Options(TypedDict, total=False):
 
 
 def changes_any(options: Options) -> bool:
-    """Whether any value of a scene would be another one."""
+    """Return whether options change any value of a scene."""
     return any(value is not None and value != {} for value in options.values())
 
 
 def compiled(source: Source, **options: Unpack[Options]) -> tuple[str, mujoco.MjModel, mujoco.MjData]:
-    """Return a scene's name, MuJoCo's model, and data at time 0 with hands placed by their motions.
+    """Return the name of a scene, the MuJoCo model, and data at time 0 with hands placed by their motions.
 
-    source: MJCF file, MjSpec (not changed), or a compiled model, whose keys are fixed; options: see `Options`
-    Raises SceneError (or DeviceError) with a one-line message that names element, key, value and allowed values.
+    source: MJCF file, MjSpec (not changed), or a compiled model, whose keys cannot change; options: see `Options`
+    Raises SceneError (or DeviceError) with a one-line message with element, key, value and allowed values.
     """
     device = options.get("device")
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
@@ -77,7 +77,7 @@ def compiled(source: Source, **options: Unpack[Options]) -> tuple[str, mujoco.Mj
 
 
 def _compiled_with(scene: "Opened", options: Options) -> mujoco.MjModel:
-    """Return the model of a scene; its spec keeps these keys; see `compiled`."""
+    """Return the model of a scene, see `compiled`; the changed keys remain in its spec."""
     name, spec, folder, text = scene
     device, accuracy, board = options.get("device"), options.get("accuracy"), options.get("board")
     _check_plugins(spec, name)
@@ -119,9 +119,9 @@ def _compiled_with(scene: "Opened", options: Options) -> mujoco.MjModel:
 
 @contextmanager
 def _kept(spec: mujoco.MjSpec) -> Iterator[None]:
-    """Restore a spec's keys and device at the end.
+    """Restore keys and device of a spec at the end.
 
-    A copy is not possible: MuJoCo 4.0 drops plugins without a referring element, as most of palmfield's are.
+    A copy is not possible: MuJoCo 4.0 drops plugins that no element refers to, such as most of palmfield's.
     """
     configs = [(plugin, dict(plugin.config)) for plugin in spec.plugins]
     devices = [text.data for text in spec.texts if text.name == DEVICE]
@@ -138,7 +138,7 @@ def _kept(spec: mujoco.MjSpec) -> Iterator[None]:
 
 
 def as_text(value: object) -> str:
-    """Return a key's value as in MJCF: numbers in full, sequences and arrays with spaces between."""
+    """Return the value of a key as MJCF text: numbers with all digits, sequences and arrays separated by spaces."""
     if isinstance(value, bool | np.bool_):
         return str(bool(value)).lower()
     if isinstance(value, str):
@@ -155,9 +155,9 @@ def as_text(value: object) -> str:
 
 
 class Opened(NamedTuple):
-    """A scene that has been read but not compiled.
+    """A scene that is read but not compiled.
 
-    name: for messages; folder: that its files are relative to; text: its files, None for an MjSpec
+    name: for messages; folder: to which its files are relative; text: its files, None for an MjSpec
     """
 
     name: str
@@ -167,7 +167,7 @@ class Opened(NamedTuple):
 
 
 def opened(source: str | Path | mujoco.MjSpec) -> Opened:
-    """Read the scene's spec and its files. Raises SceneError if that fails."""
+    """Read the spec and the files of a scene. Raises SceneError if that fails."""
     if isinstance(source, mujoco.MjSpec):
         folder = Path(source.modelfiledir).resolve() if source.modelfiledir else None
         return Opened(source.modelname or "the spec", source, folder, None)
@@ -181,17 +181,17 @@ def opened(source: str | Path | mujoco.MjSpec) -> Opened:
         raise _without_objtype(sensor.where, sensor.attributes.get("name", ""), sensor.attributes.get("plugin", ""))
     try:
         return Opened(str(path), mujoco.MjSpec.from_file(str(path)), path.resolve().parent, text)
-    # MuJoCo's binding raises RuntimeError for other errors, for instance a lack of memory
+    # MuJoCo's binding raises RuntimeError for other errors, such as a lack of memory
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         raise SceneError(_in_words(error, str(path), text)) from None
 
 
 def no_scene(path: Path) -> str:
-    """Return the error for a missing scene, with similar names: in its folder, or among those of palmfield."""
+    """Return the error for a missing scene, with similar names: from its folder or from the scenes of palmfield."""
     if path.is_dir():
         return f"scene {path} is a folder; allowed: the path of an MJCF file, for example {path / 'scene.xml'}"
     shipped = data_folder("mjcf") / "scenes"
-    # Without their common suffix, which would make any two short names similar
+    # Compare names without their suffix, which would make any two short names similar
     places = {file.stem: str(file) for where in (shipped, path.parent) for file in sorted(where.glob("*.xml"))}
     near = did_you_mean(path.stem, places)
     for name, file in places.items():
@@ -208,7 +208,7 @@ def _check_plugins(spec: mujoco.MjSpec, name: str) -> None:
 
 
 def _check_names(text: SceneText) -> None:
-    """Refuse palmfield instances without a name, which neither keys nor results could refer to."""
+    """Raise SceneError for palmfield instances without a name, because keys and results refer to names."""
     for one in text.elements:
         holder = one.within("plugin") if one.tag == "instance" else None
         plugin = "" if holder is None else holder.attributes.get("plugin", "")
@@ -220,7 +220,7 @@ def _check_names(text: SceneText) -> None:
 
 
 def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
-    """Refuse a plugin sensor without objtype, on which MuJoCo 4.0 crashes in compilation."""
+    """Raise SceneError for a plugin sensor without objtype, on which MuJoCo 4.0 crashes during compilation."""
     for sensor in spec.sensors:
         plugged = sensor.type == mujoco.mjtSensor.mjSENS_PLUGIN
         if plugged and sensor.objtype == mujoco.mjtObj.mjOBJ_UNKNOWN:
@@ -228,7 +228,7 @@ def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
 
 
 def _check_sensor_places(data: mujoco.MjData, name: str, text: SceneText | None) -> None:
-    """Refuse sensors off their skin, with file and line, before the run would; name, text: of the scene."""
+    """Raise SceneError, with file and line, for sensors that are not on their skin; name, text: of the scene."""
     world = world_of(data)
     if world is None or world.scene is None:
         return
@@ -250,26 +250,26 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
     """Return values by instance name. Raises SceneError for unknown instances, plugins and keys."""
     models = configs()
     result: dict[str, dict[str, object]] = {}
-    given_as: dict[tuple[str, ...], str] = {}
+    set_by: dict[tuple[str, ...], str] = {}
     instances = {plugin.name for plugin in spec.plugins}
-    # A value for one instance overrides that for all of its plugin
-    for given, value in sorted(keys.items(), key=lambda item: item[0].rpartition(".")[0] in instances):
-        owner, _, key = given.rpartition(".")
+    # A value for one instance overrides that for all instances of its plugin
+    for dotted, value in sorted(keys.items(), key=lambda item: item[0].rpartition(".")[0] in instances):
+        owner, _, key = dotted.rpartition(".")
         own = [plugin for plugin in spec.plugins if plugin.name == owner]
         if not own:
             full = f"palmfield.{owner.removeprefix('palmfield.')}"
             own = [plugin for plugin in spec.plugins if plugin.plugin_name == full]
         if not own:
-            known = sorted({plugin.name for plugin in spec.plugins} | {p.plugin_name for p in spec.plugins})
-            short = [name.removeprefix("palmfield.") for name in known]
+            names = sorted({plugin.name for plugin in spec.plugins} | {p.plugin_name for p in spec.plugins})
+            short = [name.removeprefix("palmfield.") for name in names]
             near = did_you_mean(owner.removeprefix("palmfield."), short)
             raise SceneError(
-                f"key '{given}' belongs to no instance or plugin of this scene{near}; it has: {', '.join(known)}"
+                f"key '{dotted}' belongs to no instance or plugin of this scene{near}; it has: {', '.join(names)}"
             )
-        other = given_as.setdefault((key, *(plugin.name for plugin in own)), given)
-        if other != given:
+        other = set_by.setdefault((key, *(plugin.name for plugin in own)), dotted)
+        if other != dotted:
             raise SceneError(
-                f"keys '{other}' and '{given}' both set {key} of instance '{own[0].name}', to '{keys[other]}' and "
+                f"keys '{other}' and '{dotted}' both set {key} of instance '{own[0].name}', to '{keys[other]}' and "
                 f"'{value}'; give one of them"
             )
         for plugin in own:
@@ -281,30 +281,30 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
 
 
 def _check_keys(plugin: mujoco.MjsPlugin, config: Mapping[str, str], scene: Opened) -> None:
-    """Refuse unknown keys, and keys without a value, which MuJoCo does not distinguish from missing keys."""
-    known = configs().get(plugin.plugin_name)
-    if known is None:
+    """Raise SceneError for unknown keys, and for empty values, which MuJoCo does not distinguish from missing keys."""
+    model = configs().get(plugin.plugin_name)
+    if model is None:
         return
     for key, value in config.items():
         wrong = ""
-        if key not in known_keys(known):
-            wrong = unknown_key(known, key)
-        elif not value.strip() and key in known.model_fields:
-            wrong = f"key '{key}' has no value; allowed: {allowed(known, key)}, or remove the key"
+        if key not in known_keys(model):
+            wrong = unknown_key(model, key)
+        elif not value.strip() and key in model.model_fields:
+            wrong = f"key '{key}' has no value; allowed: {allowed(model, key)}, or remove the key"
         if wrong:
-            told = f"plugin '{plugin.plugin_name}' instance '{plugin.name}': {wrong}"
-            raise SceneError(f"{_place(told, scene.name, scene.text)}: {told}")
+            message = f"plugin '{plugin.plugin_name}' instance '{plugin.name}': {wrong}"
+            raise SceneError(f"{_place(message, scene.name, scene.text)}: {message}")
 
 
 def configs() -> dict[str, type[Config]]:
-    """The keys' models by plugin name."""
+    """Return the configuration models by plugin name."""
     return {module.name: module.config for module in MODULES}
 
 
 def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) -> mujoco.MjData:
     """Return data at time 0 with hands placed by their motions.
 
-    name, text: of the scene, for errors as `compiled` raises
+    name, text: of the scene, for errors as in `compiled`
     """
     try:
         data = mujoco.MjData(model)
@@ -315,7 +315,7 @@ def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) 
 
 
 def _explained(error: Exception, name: str, text: SceneText | None) -> BaseException:
-    """Return a module's own error with its place, or MuJoCo's error translated."""
+    """Return the error of a module with its position, or the translated error of MuJoCo."""
     cause = take_compile_error()
     if isinstance(cause, PalmfieldError):
         place = _place(str(cause), name, text)
@@ -333,9 +333,9 @@ def _in_words(error: Exception, name: str, text: SceneText | None) -> str:
 
 
 def _place(message: str, name: str, text: SceneText | None) -> str:
-    """Return file and line of the beginning of a message: a key, its instance, or a setting of the whole scene.
+    """Return file and line of the key, instance or setting at the beginning of a message.
 
-    The name of the scene if the line is unknown.
+    If the line is unknown, return the name of the scene.
     """
     meant = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
     element = text.key(meant[1], meant[2], meant[3] or "") if meant and text is not None else None
@@ -349,7 +349,7 @@ def _place(message: str, name: str, text: SceneText | None) -> str:
 
 
 def instances_of(source: str | Path, keys: Mapping[str, object]) -> tuple[list[Instance], dict[str, dict[str, object]]]:
-    """Return a scene's plugin instances, and values of keys by instance as for `compiled`, without compilation.
+    """Return plugin instances of a scene, and changed keys by instance as in `compiled`, without compilation.
 
     Raises SceneError for a scene that cannot be read, and for unknown instances, plugins and keys.
     """

@@ -27,10 +27,10 @@ OF_ONE_BOARD = ("board", "compensate", "duty_exponent", *SAFETY_KEYS)
 
 
 def exchange_board(scene: str, plugins: Sequence[Instance], name: str, timestep_s: float) -> list[str]:
-    """Give a scene another board; returns the changes, in words.
+    """Replace the board of a scene; return the changes, in words.
 
-    Arrays get the board's layout, without calibration data of the old transducers; stimuli without steps get the
-    board's frame rate. Raises DeviceError for an unknown board, SceneError for a scene without palmfield.driver.
+    Arrays get the layout of the board, without calibration data of the old transducers. Stimuli without steps get the
+    frame rate of the board. Raises DeviceError for an unknown board, SceneError for a scene without palmfield.driver.
     """
     board = board_named(name)
     drivers = [plugin for plugin in plugins if plugin.plugin == DRIVER]
@@ -60,7 +60,7 @@ def exchange_board(scene: str, plugins: Sequence[Instance], name: str, timestep_
 
 
 def _in_array(stimulus: Instance) -> bool:
-    """Whether a stimulus gives its focus in the frame of the array."""
+    """Return whether the focus of a stimulus is in the frame of the array."""
     return stimulus.keys.get("frame", "array") == "array" and len(stimulus.keys.get("focus_m", "").split()) == 3
 
 
@@ -78,7 +78,7 @@ def _exchange_layout(array: Instance, board: Board, focus: str | None) -> list[s
 
 
 def _size(name: str, focus: str | None) -> str:
-    """Return count, aperture and p0 of a layout in words, and its ARP at a focus, or the usual one, at full drive."""
+    """Describe count, aperture and p0 of a layout, and its ARP at a focus (or its usual focus) at full drive."""
     made = layout(name)
     wide, high = 1e3 * np.ptp(made.positions, axis=0)[:2]
     place = np.array(LAYOUTS[name].focus_m if focus is None else [float(x) for x in focus.split()])
@@ -93,7 +93,7 @@ def _size(name: str, focus: str | None) -> str:
 
 
 def _without_steps(keys: Mapping[str, str], board: Board) -> bool:
-    """Whether a stimulus changes, or may, without a rate of its own."""
+    """Return whether a stimulus may change over time and has no rate."""
     if float(keys.get("control_rate_Hz", "0") or 0.0) > 0.0:
         return False
     path = keys.get("path", "point") != "point" and not float(keys.get("path_points", "0") or 0.0)

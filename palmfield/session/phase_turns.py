@@ -6,17 +6,17 @@ from palmfield.drive.array_drive import ArrayDrive
 from palmfield.types import Complex, Float
 
 MOVED_WAVELENGTHS = 1.0 / 16.0
-"""A focus that moves by more between two records may get other phases; its jumps are not counted."""
+"""Largest motion of a focus between two records [wavelengths]; beyond it jumps of phases are not counted."""
 LOUDER = 1.0 / 16.0
-"""The same for the pressure of a focus relative to the loudest."""
+"""Largest change of the pressure of a focus relative to the loudest focus, likewise."""
 SAME = 0.7
-"""Least |v^H w| of the leading eigenvectors of two records that count as equal."""
+"""Smallest |v^H w| of the leading eigenvectors of two records that count as equal."""
 
 
 class PhaseTurns:
     """Follows the leading eigenvector of the foci of a stimulus from record to record.
 
-    times: of the records at which it has jumped [s]
+    times: of the records at which it jumped [s]
     """
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class PhaseTurns:
         self._last: tuple[Float, Float, Complex] | None = None
 
     def see(self, time_s: float, drive: ArrayDrive, foci: Float, loudness: Float | None) -> None:
-        """Add a record of active foci, array frame [m], shape (m, 3), loudness: as of `FocalPoints.loudness`."""
+        """Add a record of active foci, array frame [m], shape (m, 3); loudness: see `FocalPoints.loudness`."""
         wanted = np.ones(len(foci)) if loudness is None else loudness
         foci, wanted, last = foci[wanted > 0.0], wanted[wanted > 0.0], self._last
         if len(foci) < 2:

@@ -1,4 +1,4 @@
-"""A scene for inspection only: its model and poses, without the matrices of its skins."""
+"""Open a scene for inspection only: its model and poses, without the matrices of its skins."""
 
 import copy
 from collections.abc import Iterable, Iterator
@@ -19,7 +19,7 @@ from palmfield.simulation.posed_scene import PosedScene
 
 @dataclass(frozen=True)
 class Preview:
-    """A scene as plans, descriptions and players use it.
+    """A scene for plans, descriptions and players.
 
     name: for messages; duration_s: of a run [s]; data: of MuJoCo, which must live as long as the runtime
     """
@@ -30,18 +30,18 @@ class Preview:
     data: mujoco.MjData
 
     def poses(self, count: int) -> Iterator[PosedScene]:
-        """Those of `moments`."""
+        """Yield the poses of `moments`."""
         return (posed for _, posed in self.moments(count))
 
     def moments(self, count: int) -> Iterator[tuple[float, PosedScene]]:
-        """Yield the present time [s] and pose, and then, if a script moves a part, `count` others over the run.
+        """Yield the present time [s] and pose and, if a script moves a part, `count` other ones over the run.
 
-        Poses in which a body reaches into an array are left out: the run reports them.
+        Poses in which a body reaches into an array are skipped, because the run reports them.
         """
         yield float(self.data.time), self.runtime.posed
         if not any(skin.moves for skin in self.runtime.spec.skins):
             return
-        # Sampled on a copy, so that the simulation does not change.
+        # Sampled on a copy, so that the simulation does not change
         data = copy.copy(self.data)
         world = world_of(data)
         assert world is not None
@@ -54,9 +54,9 @@ class Preview:
                 continue
 
     def posed_at(self, times: Iterable[float]) -> Iterator[tuple[float, SceneRuntime, PosedScene]]:
-        """Yield each of some rising times [s], the runtime at it, and the pose of its MuJoCo step.
+        """Yield each of some rising times [s], with the runtime and the pose of its MuJoCo step.
 
-        A copy of the scene without its skins is stepped, if a part of it moves. Raises the errors of modules in a step.
+        If a part moves, a copy of the scene without its skins is stepped. Raises the errors of modules in a step.
         """
         if not self.moves:
             yield from ((time_s, self.runtime, self.runtime.posed) for time_s in times)
@@ -84,7 +84,7 @@ class Preview:
 def preview(scene: Source | Simulation, **options: Unpack[Options]) -> Preview:
     """Open a scene, or use a simulation in its present state.
 
-    Arguments and errors as `palmfield.session.open_scene.compiled`; keys of a simulation are fixed (SceneError).
+    Arguments and errors as in `palmfield.session.open_scene.compiled`; keys of a simulation are fixed (SceneError).
     """
     if isinstance(scene, Simulation):
         if changes_any(options):

@@ -1,4 +1,4 @@
-"""Run a scene and write, or keep, its results."""
+"""Run a scene and write its results, or keep them in memory."""
 
 import json
 import logging
@@ -18,7 +18,7 @@ import xarray as xr
 from rich.progress import Progress
 
 from palmfield.errors import MeasurementError, OutputError
-from palmfield.interrupts import interrupts_held
+from palmfield.interrupts import interrupts_delayed
 from palmfield.outputs.schema import MUJOCO_SCENE, group
 from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occupied, write_json
 from palmfield.outputs.store import recover as assemble
@@ -36,7 +36,7 @@ LOG = logging.getLogger("palmfield.session")
 
 
 def _drawn_by(module: str, function: str, tree: xr.DataTree, path: Path) -> None:
-    """Call a function of `palmfield.outputs`: Matplotlib and OpenUSD load when the steps are done."""
+    """Call a function of `palmfield.outputs`, so that Matplotlib and OpenUSD are loaded after the steps."""
     getattr(import_module(f"palmfield.outputs.{module}"), function)(tree, path)
 
 
@@ -59,7 +59,7 @@ CONVENTIONS = {
 class Result:
     """Result of a run.
 
-    out: folder, None for a run in memory; files: paths written, by name
+    out: folder, None for a run in memory; files: written files by name
     summary: the numbers of summary.json
     """
 
@@ -71,7 +71,7 @@ class Result:
 
     @property
     def dataset(self) -> xr.DataTree:
-        """The result's groups (palmfield.outputs.schema), opened at first use and read lazily."""
+        """Groups of the result (palmfield.outputs.schema), opened at first use and read lazily."""
         if self._kept is not None:
             return self._kept
         if not self._opened:
@@ -80,10 +80,10 @@ class Result:
 
 
 class Estimates(NamedTuple):
-    """Estimates for a complete run, computed by the layer above.
+    """Functions that compute estimates for a complete run.
 
-    budgets: the error budget of each skin's motion, or why there is none
-    summary: all numbers, from the recording, the budgets, the result, and more numbers of the whole run
+    budgets: error budget of the motion of each skin, or why there is none
+    summary: all numbers, from the recording, the budgets, the result, and other numbers of the whole run
     """
 
     budgets: Callable[[Simulation, Recorder, Progress], dict[str, Any]]
@@ -101,7 +101,7 @@ def run_recorded(
     plots: Sequence[str] | None,
     usd: bool,
 ) -> Result:
-    """`palmfield.run`, with a function that estimates its errors."""
+    """Run a scene as `palmfield.run` does, with functions that estimate its errors."""
     started = time.perf_counter()
     if duration_s is not None:
         check_duration(duration_s)
@@ -110,7 +110,7 @@ def run_recorded(
 
         checked_kinds(plots)
     if out is not None:
-        # Before any computation; the store checks again.
+        # Check before any computation; the store checks again
         refuse_occupied(Path(out), overwrite)
     sim = scene if isinstance(scene, Simulation) else Simulation(scene)
     duration = sim.duration_s if duration_s is None else duration_s
@@ -129,12 +129,12 @@ def run_recorded(
                 with phase("error estimate"):
                     budgets = estimates.budgets(sim, recorder, bar)
             except KeyboardInterrupt as error:
-                cut = error  # only the estimate is missing: the result is complete
+                cut = error  # only the estimate is missing, and the result is complete
         reason = "completed" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
         with ExitStack() as opened:
-            # Ctrl-C waits until there is a result to attach
-            held = opened.enter_context(ExitStack())
-            held.enter_context(interrupts_held())
+            # Ctrl-C is delayed until there is a result to attach
+            delayed = opened.enter_context(ExitStack())
+            delayed.enter_context(interrupts_delayed())
             about = {"reason": reason} | ({"error_budget": json.dumps(budgets)} if budgets else {})
             with phase("result file"):
                 finished = store.finish(about, complete=stopped is None)
@@ -151,17 +151,17 @@ def run_recorded(
                     stopped = store.lost or OutputError(f"{out} is incomplete: {tree.attrs['reason']}")
                 try:
                     if out is not None:
-                        # Before a step that may take long or be interrupted, and again at the end.
+                        # Written before a step that may take long or be interrupted, and again at the end
                         write_json(files["summary.json"], result.summary)
                 except OutputError as error:
                     stopped = stopped or error
-                held.close()
+                delayed.close()
                 if ended := stopped or cut:
                     raise ended
                 with phase("summary"):
                     whole = estimates.summary(sim, recorder, budgets, tree, ending(tree) | _spent(started))
                 if out is not None:
-                    # Whole before the pictures, whatever becomes of these
+                    # Complete before the pictures, even if drawing fails
                     write_json(files["summary.json"], whole)
                     files |= draw(tree, Path(out), bar, plots, usd)
                     whole |= _spent(started)
@@ -175,13 +175,13 @@ def _numbers(tree: xr.DataTree) -> dict[str, Any]:
 
 
 def ending(tree: xr.DataTree) -> dict[str, Any]:
-    """Return whether all of a run was written, and why it ended, from its result."""
+    """Return whether a run is complete, and why it ended, from its result."""
     return {"complete": bool(tree.attrs["complete"]), "reason": str(tree.attrs["reason"])}
 
 
 @contextmanager
 def _carried_by_errors(result: Result) -> Iterator[None]:
-    """Errors raised in the block, and Ctrl-C, get the results so far as their attribute `result`."""
+    """Set the results so far as attribute `result` of errors, and of Ctrl-C, in the block."""
     try:
         yield
     except (KeyboardInterrupt, Exception) as error:
@@ -192,10 +192,10 @@ def _carried_by_errors(result: Result) -> Iterator[None]:
 
 
 def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
-    """Assemble the data of a killed run, or complete the files of one that was interrupted while drawing.
+    """Assemble the data of a killed run, or complete the files of a run that was interrupted while drawing.
 
-    progress: as of `run`
-    Remains of a killed USD export are reported and not removed: a user may need them, or they may still be written.
+    progress: as in `run`
+    Files of a killed USD export are reported but not removed, because they may be needed or still be written.
     Returns the files by name. Raises OutputError if there is no data to recover or the disk is full.
     """
     from palmfield.outputs.usd.stage_file import left_scenes
@@ -224,9 +224,9 @@ def _recovered(out: Path, progress: bool) -> dict[str, Path]:
 def draw(
     tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | None = None, usd: bool = True
 ) -> dict[str, Path]:
-    """Write the requested pictures, or the default ones, and perhaps the USD scene, as far as the data allow.
+    """Write the requested or default pictures and, if `usd`, the USD scene, as far as the data allow.
 
-    Pictures that cannot be drawn are reported and left out.
+    Pictures that cannot be drawn are reported and skipped.
     """
     files: dict[str, Path] = {}
     task = bar.add_task("drawing", total=len(PICTURES))
@@ -266,9 +266,9 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
 
 
 def recorder_of(sim: Simulation, sink: Sink, together: int = 1) -> Recorder:
-    """Return the recorder that writes a simulation's steps to a sink, from `start` to `stop`.
+    """Return the recorder that writes the steps of a simulation to a sink, from `start` to `stop`.
 
-    together: as of Recorder
+    together: see Recorder
     """
     return Recorder(sim.runtime, world_with(sim.data), sink, lambda: body_poses(sim.data), together)
 
@@ -280,12 +280,12 @@ def known_before(sim: Simulation) -> Block:
 
 @phase("stepping")
 def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
-    """Step to the end; returns the error that ended it early, or None."""
+    """Step to the end; return the error that ended it early, or None."""
     started = time.perf_counter()
     steps = step_count(duration_s, sim.model.opt.timestep)
     task = bar.add_task(f"simulating {1e3 * duration_s:g} ms", total=steps)
     try:
-        with interrupts_held() as check:
+        with interrupts_delayed() as check:
             try:
                 recorder.start()
                 for _ in range(steps):
@@ -309,7 +309,7 @@ def _spent(started: float) -> dict[str, Any]:
 
 
 def _shown_better(sim: Simulation) -> list[str]:
-    """MuJoCo's bodies for which the result has more than their geoms: those with skin, and the arrays' boards."""
+    """Return MuJoCo bodies for which the result has more than geoms: those with skin, and boards of arrays."""
     binding = sim.runtime.binding
     numbers = [number for skin in binding.skins for number in (skin.body, *skin.bones)]
     numbers += [int(sim.model.site_bodyid[site]) for site in binding.array_sites]
@@ -335,7 +335,7 @@ def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
         attributes[group("array", array.name)] = {"config": array.config.model_dump_json()}
     for part in model.stimuli:
         arrays = [model.spec.arrays[number].name for number in part.spec.arrays]
-        # Ten thousand numbers from a file would exceed the size of an attribute
+        # Thousands of numbers from a file would exceed the size limit of an attribute
         keys = part.config.model_dump_json(exclude={"am_table", "focus_table"})
         attributes[group("stimulus", part.spec.name)] = {"config": keys, "arrays": arrays}
     attributes[group("mujoco", MUJOCO_SCENE)] = {
@@ -353,7 +353,7 @@ def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
             "arp_law": skin.spec.config.arp_law,
         }
         if skin.spec.config.arp_law == "alpha":
-            # p_rms^2 is |p|^2/2 of the peak amplitude, to which the law's weight applies
+            # p_rms^2 is |p|^2/2 of the peak amplitude, to which the weight of the law applies
             attributes[group("skin", name)]["arp_alpha"] = 2.0 * skin.spec.arp_law.pressure
         attributes[group("body", name)] = {"body": skin.carrier.name}
         attributes[group("surface", name)] = {"body": skin.carrier.name}

@@ -1,5 +1,6 @@
-"""Data written by a running simulation: blocks of arrays, each of one or more MuJoCo steps, for a store."""
+"""Record a running simulation: write blocks of arrays, each of one or more MuJoCo steps, to a store."""
 
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, Protocol
@@ -34,12 +35,12 @@ Block = dict[str, dict[str, NDArray[Any]]]
 
 TOGETHER = 64
 """Largest number of MuJoCo steps whose data are computed together."""
-WAITING_BYTES = 8_000_000
-"""Largest size of the motion of the skins in them."""
+WAITING_BYTES, WAITING_s = 8_000_000, 2.0
+"""Largest size of the motion of the skins in them, and longest time that they wait: a killed process loses them."""
 ROWS = 64
 """Number of substeps whose motion is computed in one product."""
 FEW = 112
-"""Largest number of drives whose fields are computed together; more would change the formula and so the rounding."""
+"""Largest number of drives whose fields are computed together; more would use a formula with other rounding."""
 
 
 class Sink(Protocol):
@@ -49,7 +50,7 @@ class Sink(Protocol):
 
 
 class Emitted(NamedTuple):
-    """Emission at some moments: one drive (N,) with factors of its ARP (m,), or as many drives as moments (m, N).
+    """Emission at some moments: one drive (N,) with factors of its ARP (m,), or a drive for each moment (m, N).
 
     serial: of the single drive, 0 for many
     """
@@ -63,9 +64,9 @@ class Recorded(NamedTuple):
     """One step whose data have not been written yet.
 
     times: ends of its substeps [s], shape (s,). posed: its pose. emitted: emission at `times`.
-    motions: of each skin, after each substep, displacement [m] and velocity [m/s], shape (s, 2, 3 S), or coordinates
-        of these, shape (s, 2, r), and the matrix (r, 3 S).
-    pressed: of each skin, numbers of force samples and the mean ARP there [Pa], None in silence.
+    motions: of each skin after each substep: displacement [m] and velocity [m/s], shape (s, 2, 3 S), or their
+        coordinates, shape (s, 2, r), and the matrix (r, 3 S).
+    pressed: of each skin: numbers of force samples and mean ARP there [Pa], None in silence.
     step: arrays along `step_time`.
     """
 
@@ -77,20 +78,20 @@ class Recorded(NamedTuple):
     step: Block
 
     def goes_on(self, last: "Recorded") -> bool:
-        """Whether pose, kind of emission and coordinates are those of the last step."""
+        """Return whether pose, kind of emission and coordinates are those of the last step."""
         same = all(one[1] is other[1] for one, other in zip(self.motions, last.motions, strict=True))
         return same and self.posed is last.posed and self.emitted.serial == last.emitted.serial
 
 
 def emitted_at(course: EmittedCourse, moments: NDArray[np.int_]) -> Emitted:
-    """Return the emission at some moments of a course, by their numbers (m,)."""
+    """Return the emission at some moments of a course, by index (m,)."""
     if len(course.units) != 1:
         return Emitted(rows(course)[moments], np.ones(len(moments)), 0)
     return Emitted(course.units[0], np.abs(course.levels[moments, 0]) ** 2, course.serial)
 
 
 def emitted_at_ends(emission: Emission, trace: StepTrace, step_s: float) -> Emitted:
-    """Return the emission at the ends of the substeps of one world's step, each of which takes step_s [s]."""
+    """Return the emission at the ends of the substeps of a step of one world, each of length step_s [s]."""
     moments, course = trace.moments, trace.course(0)
     if not any(moments.held_s):
         return emitted_at(course, np.argmax(moments.last, axis=1))
@@ -102,19 +103,19 @@ def emitted_at_ends(emission: Emission, trace: StepTrace, step_s: float) -> Emit
 
 
 class Recorder:
-    """Observes a scene's steps and writes their data.
+    """Records the steps of a scene and writes their data.
 
-    loudest: by skin, the moment of the highest ARP on it so far, None without sound on it
+    loudest: by skin, the moment of the highest ARP so far, None without sound
     peak_drive: largest commanded amplitude of each transducer so far, relative to full drive, shape (N,)
-    begun_s: MuJoCo's clock at the start [s]
+    begun_s: MuJoCo time at the start [s]
     turns: for each stimulus, the times at which the phases between its foci jumped
     """
 
     def __init__(
         self, runtime: SceneRuntime, world: World, sink: Sink, body_poses: Callable[[], Float], together: int = 1
     ):
-        """body_poses: of all of MuJoCo's bodies in the world, shape (bodies, 7)
-        together: largest number of steps in a block; the last of them wait for `stop`
+        """body_poses: function that returns poses of all MuJoCo bodies in the world, shape (bodies, 7)
+        together: largest number of steps in a block; the last block is written by `stop`
         """
         self._body_poses = body_poses
         self.runtime, self.model, self.world, self.sink = runtime, runtime.model, world, sink
@@ -127,14 +128,14 @@ class Recorder:
         # The next tick changes held points, with which waiting steps are computed
         self._together = 1 if runtime.work.emission.holds else together
         self._waiting: list[Recorded] = []
-        self._waiting_bytes = 0
+        self._waiting_bytes, self._written_at = 0, time.monotonic()
         self.begun_s = 0.0
         self._sensors = [
             (sensor.name, sensor.data) for skin in runtime.binding.skins for sensor in world.sensors(skin.instance)
         ]
 
     def start(self) -> None:
-        """Record the state before the first step, and observe the following steps."""
+        """Record the state before the first step, and begin to observe steps."""
         work, posed = self.runtime.work, self.runtime.posed
         now_s = self.begun_s = self.world.time
         work.observe = tuple(skin.surface_vectors for skin in self.model.skins)
@@ -150,7 +151,7 @@ class Recorder:
         self.runtime.steps.observer = self._observe
 
     def stop(self) -> None:
-        """Write the last steps, and watch no longer."""
+        """Write the last steps, and end the observation."""
         self.runtime.steps.observer = None
         self.runtime.work.observe, self.runtime.work.in_coordinates = (None,) * len(self.model.skins), False
         self._write()
@@ -159,7 +160,7 @@ class Recorder:
         self._trace = trace
 
     def step(self) -> None:
-        """Take the data of one completed MuJoCo step, and write them if enough steps wait."""
+        """Record the data of one completed MuJoCo step, and write a block if it is full."""
         trace, self._trace = self._trace, None
         if trace is None:
             return
@@ -184,11 +185,12 @@ class Recorder:
             step[group("sensors", name)] = {"value": data[None].copy()}
         self._waiting.append(Recorded(trace.times, posed, emitted, motions, self._pressed(posed), step))
         self._waiting_bytes += sum(24 * len(trace.times) * len(skin.nodes[0]) for skin in self.model.skins)
-        if len(self._waiting) >= self._together or self._waiting_bytes >= WAITING_BYTES:
+        late = time.monotonic() - self._written_at > WAITING_s
+        if late or len(self._waiting) >= self._together or self._waiting_bytes >= WAITING_BYTES:
             self._write()
 
     def _pressed(self, posed: PosedScene) -> "list[tuple[Int, Float] | None]":
-        """Return `Recorded.pressed`; empty on a GPU, which adds up forces without it."""
+        """Return `Recorded.pressed`; empty on a GPU, which computes forces without it."""
         if self.runtime.steps.in_graph:
             return []
         result: list[tuple[Int, Float] | None] = []
@@ -201,7 +203,7 @@ class Recorder:
 
     def _write(self) -> None:
         """Write the waiting steps in one block."""
-        steps, self._waiting, self._waiting_bytes = self._waiting, [], 0
+        steps, self._waiting, self._waiting_bytes, self._written_at = self._waiting, [], 0, time.monotonic()
         if not steps:
             return
         blocks, begin = [one.step for one in steps], 0
@@ -247,7 +249,7 @@ class Recorder:
         forces["torque"] = (torque + np.cross(arms, force)).sum(axis=0)[None]
         block[group("body", name)], block[group("forces", name)] = poses, forces
 
-    # -- one instant after the other -----------------------------------------------------------------------------
+    # -- data of a block -----------------------------------------------------------------------------
 
     def _block(self, times: Float, posed: PosedScene, emitted: Emitted, motions: list[Float32]) -> Block:
         block: Block = {"/": {"time": times - self.begun_s}}
@@ -264,7 +266,7 @@ class Recorder:
         return block
 
     def _sound(self, posed: PosedScene, number: int, emitted: Emitted, times: Float) -> SurfaceSound:
-        """Return ARP and amplitude at a skin's surface nodes, shapes (t, S); keeps the loudest moment."""
+        """Return ARP and amplitude at the surface nodes of a skin, shapes (t, S), and update the loudest moment."""
         radiation = self.runtime.work.radiation
         if emitted.drives.ndim == 1:
             unit, factors = (
@@ -299,7 +301,7 @@ class Recorder:
             block[group("stimulus", part.spec.name)] = {"foci": world, "sounding": sounding}
 
     def _add_drive(self, block: Block, times: Float, posed: PosedScene) -> None:
-        """Add drive frames where the commanded drive differs from the last one."""
+        """Add drive frames at which the commanded drive changes."""
         commanded = self.runtime.work.emission.commanded(posed, times)
         last = np.full_like(commanded[:1], np.nan) if self._drive is None else self._drive
         before = np.concatenate([last, commanded[:-1]])
@@ -369,7 +371,7 @@ def _motion(parts: Sequence[tuple[Float | Float32, Float | None]]) -> Float32:
 
 
 def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compiled: mujoco.MjModel) -> Block:
-    """Data available before the first step. compiled: MuJoCo's model of the scene"""
+    """Return the data available before the first step. compiled: MuJoCo model of the scene"""
     block: Block = {group("mujoco", MUJOCO_SCENE): mujoco_arrays(compiled)}
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
         block[group("array", array.name)] = _transducers(part)
@@ -397,7 +399,7 @@ def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compi
 
 
 def _transducers(array: Array) -> dict[str, NDArray[Any]]:
-    """Return all inputs of an array's sound except its drive, pose and air."""
+    """Return all inputs of the sound of an array except drive, pose and air."""
     gain = np.ones(len(array), np.complex128) if array.gain is None else array.gain
     told = {
         "transducer_position": array.positions,
@@ -413,12 +415,12 @@ def _transducers(array: Array) -> dict[str, NDArray[Any]]:
 
 
 def world_with(data: mujoco.MjData) -> World:
-    """Return the plugin modules of MuJoCo's data that hold a scene."""
+    """Return the plugin modules of the scene in MuJoCo data."""
     world = world_of(data)
     assert world is not None
     return world
 
 
 def pose7(position: Float, rotation: Float) -> Float:
-    """Position [m] and unit quaternion (w, x, y, z) in one array, shape (7,)."""
+    """Return position [m] and unit quaternion (w, x, y, z) in one array, shape (7,)."""
     return np.concatenate([position, quaternion(rotation)])

@@ -7,11 +7,11 @@ from typing import NamedTuple
 from palmfield.session.scene_text import Element
 
 TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
-"""The beginning of an element; > may be part of a value."""
+"""Start tag of an element; > may be part of a value."""
 
 
 class Edit(NamedTuple):
-    """Bytes from start to end and their replacement."""
+    """Replacement of the bytes from start to end."""
 
     start: int
     end: int
@@ -19,7 +19,7 @@ class Edit(NamedTuple):
 
 
 def with_attribute(data: bytes, element: Element, name: str, new: str) -> Edit:
-    """Set an element's attribute to another value."""
+    """Return the edit that sets an attribute of an element."""
     tag = tag_of(data, element)
     found = re.compile(rb"\b" + name.encode() + rb"\s*=\s*([\"'])(.*?)\1", re.DOTALL).search(tag[0])
     assert found is not None
@@ -27,14 +27,14 @@ def with_attribute(data: bytes, element: Element, name: str, new: str) -> Edit:
 
 
 def tag_of(data: bytes, element: Element) -> re.Match[bytes]:
-    """Return the beginning of an element in its file."""
+    """Return the start tag of an element in its file."""
     tag = TAG.match(data, element.offset)
     assert tag is not None
     return tag
 
 
 def without(data: bytes, element: Element) -> Edit:
-    """Remove the element, with its line if that has no other content."""
+    """Return the edit that removes an element, with its line if that has no other content."""
     tag = tag_of(data, element)
     start, end = tag.start(), tag.end()
     if not tag[0].endswith(b"/>"):
@@ -47,7 +47,7 @@ def without(data: bytes, element: Element) -> Edit:
 
 
 def indent_of(data: bytes, element: Element) -> bytes:
-    """Return the line break and the spaces before an element that begins a line; empty for others."""
+    """Return the line break and the spaces before an element at the beginning of a line; empty for others."""
     start = data.rfind(b"\n", 0, element.offset)
     before = data[start + 1 : element.offset]
     if before.strip():
@@ -56,7 +56,7 @@ def indent_of(data: bytes, element: Element) -> bytes:
 
 
 def edited(data: bytes, edits: Sequence[Edit]) -> bytes:
-    """Apply edits that do not overlap to the bytes of a file."""
+    """Return the bytes of a file after edits that do not overlap."""
     for edit in sorted(edits, reverse=True):
         data = data[: edit.start] + edit.new + data[edit.end :]
     return data

@@ -1,6 +1,6 @@
-"""The files of a scene as text: their elements with file and line, and a description of XML errors.
+"""Read the files of a scene as text: elements with file and line, and descriptions of XML errors.
 
-MuJoCo's model has no positions in files, and messages of its parser suggest no remedy.
+MuJoCo's model does not store positions in files, and messages of its parser suggest no remedy.
 """
 
 import contextlib
@@ -13,17 +13,17 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from palmfield.errors import SceneError, did_you_mean
-from palmfield.given_files import read_bytes, reading, regular
+from palmfield.input_files import read_bytes, reading, regular
 
 ROOTS = ("mujoco", "mujocoinclude", "robot")
-"""Tags that MuJoCo accepts as outermost element: of a scene, of an included file, and of a URDF file."""
+"""Tags that MuJoCo accepts for the root element: of a scene, of an included file, and of a URDF file."""
 
 NAMES = ("name", "class", "file", "model", "prefix", "timestep")
-"""Endings of attributes that are names and may be any word, and the one that palmfield reads."""
+"""Endings of attributes whose values may be any word, and the attribute that palmfield reads."""
 ASSETS = ("mesh", "hfield", "texture", "skin", "model", "flexcomp")
-"""Elements whose attributes file, fileright, ... name files."""
+"""Elements with attributes file, fileright, ... that name files."""
 MOST_COPIES, MOST_ELEMENTS = 10_000, 1_000_000
-"""Limits: copies by <replicate>, which take MuJoCo 7 s; elements of a scene with all included and attached files."""
+"""Limits: copies by <replicate>, which take 7 s in MuJoCo; elements of a scene with all included and attached files."""
 SIZES = {
     "flexcomp": {"count": 100_000}, "composite": {"count": 100_000}, "user": {"dim": 100_000},
     "numeric": {"size": 10**6}, "texture": {"width": 20_000, "height": 120_000},
@@ -31,19 +31,19 @@ SIZES = {
     "size": {"nuserdata": 10**7, "nkey": 10**4, **{f"nuser_{kind}": 1000 for kind in
              ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")}},
 }  # fmt: skip
-"""Upper limits of attributes by which MuJoCo reserves memory or makes parts."""
+"""Upper limits of attributes for which MuJoCo allocates memory or makes elements."""
 OF_ALL_SENSORS = {"name", "class", "dim", "noise", "cutoff", "user", "needstage", "datatype", "nsample", "interp",
                   "delay", "interval", "plugin", "instance"}  # fmt: skip
-"""Attributes that name no object."""
+"""Attributes of sensors that do not name objects."""
 AMPERSAND = "\x7f"
-"""Replaces an & while a file is read: one byte that XML allows and that is never used."""
+"""Replaces & while a file is read: one byte that XML allows and files do not use."""
 
 
 @dataclass
 class Element:
     """An element of the files of a scene.
 
-    offset: bytes of the file before it; parent: its enclosing element, across included files; None for a root
+    offset: number of bytes before it; parent: enclosing element, across included files; None for the root
     """
 
     tag: str
@@ -67,7 +67,7 @@ class Element:
 
 
 class Instance(NamedTuple):
-    """A plugin instance of a scene. keys: those set in the scene, as texts, which may be changed in place"""
+    """A plugin instance of a scene. keys: keys set in the scene, as texts, which may be changed in place"""
 
     name: str
     plugin: str
@@ -75,36 +75,36 @@ class Instance(NamedTuple):
 
 
 class SceneText(NamedTuple):
-    """All elements of the files of a scene; those of included files at the place of inclusion.
+    """All elements of the files of a scene; elements of included files are at the place of inclusion.
 
-    file: of the scene, as the user named it
+    file: of the scene, as the user wrote it
     """
 
     file: Path
     elements: tuple[Element, ...]
 
     def named(self, tag: str) -> list[str]:
-        """Return the names of all elements of a tag."""
+        """Return the names of all elements with a tag."""
         return [one.attributes["name"] for one in self.elements if one.tag == tag and one.attributes.get("name")]
 
     @property
     def included(self) -> list[Path]:
-        """Files that the scene includes, in the order in which they are read."""
+        """Included files, in the order of reading."""
         return list(dict.fromkeys(one.file for one in self.elements if one.file != self.file))
 
     def at(self, file: Path, line: int, word: str) -> Element | None:
-        """Return the element in a line of a file; of several, the one with a word as its tag, or in an attribute."""
+        """Return the element in a line of a file; of several, the one with a word as tag or in an attribute."""
         here = [one for one in self.elements if one.file == file and one.line == line]
         with_word = [one for one in here if one.tag == word or (word and word in one.attributes.values())]
         return next(iter(with_word or here), None)
 
     def last(self, tag: str, name: str | None = None) -> Element | None:
-        """Return the last element of a tag, and of a name."""
+        """Return the last element with a tag and, if not None, a name."""
         fitting = (one for one in reversed(self.elements) if one.tag == tag)
         return next((one for one in fitting if name is None or one.attributes.get("name") == name), None)
 
     def instance(self, plugin: str, name: str) -> Element | None:
-        """Return the element of a plugin's instance."""
+        """Return the element of an instance of a plugin."""
         for one in self.elements:
             if one.tag == "instance" and one.attributes.get("name") == name:
                 holder = one.within("plugin")
@@ -113,14 +113,14 @@ class SceneText(NamedTuple):
         return None
 
     def key(self, plugin: str, name: str, key: str) -> Element | None:
-        """Return the element that gives a key of a plugin's instance, or that of the instance."""
+        """Return the element that sets a key of an instance, or that of the instance."""
         instance = self.instance(plugin, name)
         own = (one for one in self.elements if one.parent is instance and one.attributes.get("key") == key)
         return next(own, instance)
 
 
 def read_scene_text(path: Path) -> SceneText:
-    """Read the elements of a scene's file and of those that it includes; missing files are left to MuJoCo.
+    """Read the elements of a scene and its included files; MuJoCo reports missing files.
 
     Like MuJoCo, it ignores errors in comments and unescaped ampersands.
     Raises SceneError, with file and line, for other invalid XML.
@@ -129,9 +129,9 @@ def read_scene_text(path: Path) -> SceneText:
 
 
 def _whole(path: Path, above: tuple[Path, ...]) -> tuple[SceneText, int]:
-    """Read a scene, or a model that it attaches, and count its elements with all attached ones.
+    """Read a scene or an attached model, and count its elements with all attached ones.
 
-    above: files that attach it, which it must not attach again: MuJoCo 4.0 would overflow its stack
+    above: files that attach it; it must not attach them again, because MuJoCo 4.0 would overflow its stack
     """
     elements: list[Element] = []
     _read(path, path, None, elements, set(), set())
@@ -159,17 +159,17 @@ def _whole(path: Path, above: tuple[Path, ...]) -> tuple[SceneText, int]:
 
 
 def _files(element: Element, scene: Path, elements: list[Element]) -> list[Path]:
-    """Return the existing files that an element names. Raises SceneError for a path that is no regular file."""
+    """Return the existing files that an element names. Raises SceneError for a path that is not a regular file."""
     if element.tag not in ASSETS:
         return []
     names = [value for name, value in element.attributes.items() if name.startswith("file") and value]
-    given = [value for one in elements if one.tag == "compiler" for value in one.attributes.values()]
+    dirs = [value for one in elements if one.tag == "compiler" for value in one.attributes.values()]
     folders = [scene.parent, element.file.parent]
     places = [
         folder / below / name
         for name in names
         for folder in folders
-        for below in ("", *given)
+        for below in ("", *dirs)
         if "\0" not in below + name
     ]
     there = list(dict.fromkeys(place for place in places if place.exists()))
@@ -182,12 +182,12 @@ def _files(element: Element, scene: Path, elements: list[Element]) -> list[Path]
 
 
 def _check_size(element: Element) -> None:
-    """Refuse sizes with which MuJoCo fills the memory, or is busy for hours, before it compiles."""
+    """Raise SceneError for sizes that would fill the memory, or make MuJoCo compile for hours."""
     for name, most in SIZES.get(element.tag, {}).items():
         try:
             count = math.prod(float(word) for word in element.attributes.get(name, "").split())
         except ValueError:
-            continue  # MuJoCo says so
+            continue  # MuJoCo reports this error
         if count > most:
             raise SceneError(
                 f"{element.where}: <{element.tag}> attribute '{name}' has value '{element.attributes[name]}'; "
@@ -196,7 +196,7 @@ def _check_size(element: Element) -> None:
 
 
 def _check_copies(elements: list[Element]) -> None:
-    """Refuse more copies than MuJoCo can make, and sensors that it would duplicate with each copy."""
+    """Raise SceneError for more copies than MuJoCo can make, and for sensors that it would double with each copy."""
     copies = 0.0
     for one in elements:
         count = 1.0
@@ -222,7 +222,7 @@ def _check_copies(elements: list[Element]) -> None:
 
 
 def _check_finite(element: Element) -> None:
-    """Refuse numbers that are not finite, which MuJoCo accepts; palmfield checks its own keys separately."""
+    """Raise SceneError for infinite numbers or NaN, which MuJoCo accepts; palmfield's keys are checked separately."""
     for name, value in element.attributes.items():
         if name.endswith(NAMES) or element.tag in ("config", "text", "numeric") or not re.search(r"(?i)nan|inf", value):
             continue
@@ -237,21 +237,21 @@ def _check_finite(element: Element) -> None:
 
 
 def _read(
-    path: Path, scene: Path, holder: Element | None, elements: list[Element], above: set[Path], known: set[Path]
+    path: Path, scene: Path, holder: Element | None, elements: list[Element], above: set[Path], read: set[Path]
 ) -> None:
-    """Add the elements of a file. holder: that includes it; above: files being read; known: already read"""
+    """Add the elements of a file. holder: element that includes it; above: files being read; read: files done"""
     for one in elements_of(path):
         if one.parent is None and one.tag not in ROOTS:
             raise SceneError(
                 f"{one.where}: the outermost element is <{one.tag}>{did_you_mean(one.tag, ROOTS)}; allowed: <mujoco>"
             )
         if one.parent is None and holder is not None:
-            # Included elements replace the element that includes them
+            # Included elements replace the <include> element
             one.parent = holder.parent
         elements.append(one)
         if one.tag != "include" or not one.attributes.get("file"):
             continue
-        # MuJoCo resolves names relative to the first file, or else to the including file.
+        # MuJoCo resolves names relative to the first file, or else to the including file
         places = [folder / one.attributes["file"] for folder in (scene.parent, path.parent)]
         included = next((place for place in places if place.is_file()), None)
         if included is None:
@@ -259,14 +259,14 @@ def _read(
         resolved = included.resolve()
         if resolved in above or resolved == scene.resolve():
             raise SceneError(f"{one.where}: file '{one.attributes['file']}' includes itself; remove this <include>")
-        if resolved in known:  # which MuJoCo refuses too, without the place
+        if resolved in read:  # MuJoCo reports this without the position
             raise SceneError(f"{one.where}: file '{one.attributes['file']}' is included twice; include it once")
-        known.add(resolved)
-        _read(included, scene, one, elements, above | {resolved}, known)
+        read.add(resolved)
+        _read(included, scene, one, elements, above | {resolved}, read)
 
 
 def elements_of(path: Path) -> list[Element]:
-    """Return the elements of one file in the order of their beginnings. Raises SceneError for invalid XML."""
+    """Return the elements of one file in the order of their start tags. Raises SceneError for invalid XML."""
     with reading(path, SceneError, "a file that can be"):
         data = read_bytes(path)
     parser = expat.ParserCreate()
@@ -300,7 +300,7 @@ def elements_of(path: Path) -> list[Element]:
 
 
 def _as_mujoco_reads(data: bytes) -> bytes:
-    """Return XML without comments and without unescaped &; all other text keeps its place."""
+    """Return XML without comments and without unescaped &; all other text keeps its position."""
     bare = re.sub(rb"<!--.*?-->", lambda comment: re.sub(rb"[^\n]", b" ", comment[0]), data, flags=re.DOTALL)
     return re.sub(rb"&(?!#?\w+;)", AMPERSAND.encode(), bare)
 
@@ -326,12 +326,12 @@ def _fault(error: Exception, open_elements: list[Element]) -> str:
         "the whole scene",
         expat.errors.XML_ERROR_UNDEFINED_ENTITY: "an entity is unknown; write &amp; for &",
     }
-    known = next((words for name, words in faults.items() if code == expat.errors.codes[name]), None)
-    return known or f"the file is not XML ({error}); correct it in an editor that checks XML"
+    remedy = next((words for name, words in faults.items() if code == expat.errors.codes[name]), None)
+    return remedy or f"the file is not XML ({error}); correct it in an editor that checks XML"
 
 
 def sensors_without_objtype(text: SceneText) -> Iterator[Element]:
-    """Return plugin sensors on which MuJoCo 4.0 crashes while it reads them."""
+    """Return plugin sensors on which MuJoCo 4.0 crashes during parsing."""
     for one in text.elements:
         holder = one.parent
         if one.tag == "plugin" and holder is not None and holder.tag == "sensor" and not one.attributes.get("objtype"):

@@ -1,4 +1,4 @@
-"""A scene that is stepped: MuJoCo's model and data, with the states of sound and skin."""
+"""Step a scene: MuJoCo's model and data, with the states of sound and skin."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,19 +11,19 @@ from palmfield.drive.transducer_response import rows
 from palmfield.engine.one_world import OneWorld
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
-from palmfield.interrupts import interrupts_held
+from palmfield.interrupts import interrupts_delayed
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
 from palmfield.session.open_scene import Options, Source, compiled
 from palmfield.simulation.step import Steps
 from palmfield.types import Complex, Float
 
-if TYPE_CHECKING:  # loaded for several worlds, and for whoever reads a skin
+if TYPE_CHECKING:  # loaded only for several worlds and when a skin is read
     from palmfield.engine.worlds import SceneWorlds
     from palmfield.session.skin import Skin
     from palmfield.session.worlds import WorldsSkin
 
 GATHERED = 64
-"""Largest number of steps that are computed together."""
+"""Largest number of steps that `Simulation.step` computes together."""
 
 
 class Simulation:
@@ -36,9 +36,9 @@ class Simulation:
     With `worlds`, several copies of the scene are stepped together; results then have a leading axis for the worlds:
     sim = palmfield.Simulation("scene.xml", worlds=2, keys={"stimulus.focus_m": [(0, 0, 0.19), (0, 0.01, 0.19)]})
 
-    model, data: of MuJoCo, for callers of mj_step (then `palmfield.raise_errors(data)` raises errors inside a plugin);
-        of several worlds the data of each, to set controls or forces there: only `step` steps them
-    name: of the scene, for messages; path: its file, or None; worlds: their number, None without that axis
+    model, data: of MuJoCo, for callers of mj_step (then `palmfield.raise_errors(data)` raises errors of plugins);
+        with several worlds the data of each, to set controls or forces; only `step` may step them
+    name: of the scene, for messages; path: its file, or None; worlds: number of worlds, None without this axis
     duration_s: default duration of `palmfield.run` [s]
     """
 
@@ -53,29 +53,29 @@ class Simulation:
         worlds: int | None = None,
         poses: Mapping[str, ArrayLike] | None = None,
     ):
-        """See `palmfield.session.open_scene.Options` for the first arguments, and `compiled` there for the errors.
+        """See `palmfield.session.open_scene`: `Options` for the first arguments, and `compiled` for the errors.
 
-        worlds: number of worlds, which are stepped together; a key of a stimulus may then have one axis more than its
-            own, of that length, with a value for each
-        poses: by name of a mocap body, its position [m] and quaternion (w, x, y, z) in each MuJoCo step, shape (worlds,
-            steps, 7); after the last step it is constant
+        worlds: number of worlds, which are stepped together; the value of a key of a stimulus may then have an
+            additional first axis of this length, with a value for each world
+        poses: by name of a mocap body, position [m] and quaternion (w, x, y, z) in each MuJoCo step, shape (worlds,
+            steps, 7); constant after the last step
         """
-        given: Options = {"device": device, "accuracy": accuracy, "board": board, "keys": keys}
+        options: Options = {"device": device, "accuracy": accuracy, "board": board, "keys": keys}
         if worlds is not None:
             from palmfield.session.worlds import open_worlds
 
-            self._attach(*open_worlds(scene, worlds, poses=poses, **given), scene, worlds)
+            self._attach(*open_worlds(scene, worlds, poses=poses, **options), scene, worlds)
             return
         if poses is not None:
             raise SceneError("poses are given without worlds; allowed: both, or poses of a scene by `palmfield.motion`")
-        name, _, data = compiled(scene, **given)
+        name, _, data = compiled(scene, **options)
         self._attach(name, OneWorld(data, name), scene, None)
-        with interrupts_held():
+        with interrupts_delayed():
             self._scenes.look()
 
     @classmethod
     def of_worlds(cls, name: str, scenes: "SceneWorlds") -> "Simulation":
-        """Return one of several open worlds (`palmfield.session.worlds.open_worlds`)."""
+        """Return a simulation of several open worlds (`palmfield.session.worlds.open_worlds`)."""
         made = object.__new__(cls)
         made._attach(name, scenes, None, len(scenes.data))
         return made
@@ -122,22 +122,21 @@ class Simulation:
         return float(self._scenes.data[0].time)
 
     def step(self, count: int = 1) -> None:
-        """Do `count` MuJoCo steps. Raises the errors of plugins (SceneError, DeviceError), naming the world.
+        """Do `count` MuJoCo steps. Raises errors of plugins (SceneError, DeviceError) with the number of the world.
 
         If the sound acts on no degree of freedom and no sensor is read in between, up to GATHERED steps are computed
-        together. Forces and sensors are then those of the last step, equal to those of `mj_step` to rounding.
-        Ctrl-C waits for the end of these, or of the present step: after the KeyboardInterrupt the state is consistent,
-        at an earlier time, and the simulation can continue. SceneError for a count that is no whole number of 0 or
-        more.
+        together. Forces and sensors are then those of the last step, equal to those of `mj_step` except for rounding.
+        Ctrl-C is delayed to the end of these steps or of the present step. After the KeyboardInterrupt the state is
+        consistent, and the simulation can continue. Raises SceneError for a count that is not a whole number >= 0.
         """
         check_steps(count)
-        # Made here, not in the first step: it can take minutes, and Ctrl-C need not wait for it
+        # Build steppers here, where Ctrl-C is not delayed, because this can take minutes
         if not self._made:
             for lazies in dict.fromkeys(runtime.model.begin for runtime in self._scenes.runtimes):
                 for lazy in lazies:
                     _ = lazy.value
             self._made = True
-        with interrupts_held() as check:
+        with interrupts_delayed() as check:
             while count > 0:
                 count -= self._scenes.several(min(count, GATHERED))
                 check()
@@ -152,42 +151,42 @@ class Simulation:
 
     def reset(self) -> None:
         """Return to time 0, with everything at rest and hands at the beginning of their motions."""
-        with interrupts_held():
+        with interrupts_delayed():
             self._scenes.restart()
 
     def start_at(self, time_s: float) -> None:
-        """As `reset`, but at another time [s], with hands placed by their motions at that time; the skin is at rest.
+        """Reset to a time [s], with hands placed by their motions at that time and the skin at rest.
 
         Raises SceneError for a time that is not 0 or more.
         """
         check_time(time_s)
-        with interrupts_held():
+        with interrupts_delayed():
             self._scenes.restart(time_s)
 
     def copy(self) -> "Simulation":
         """Return a second, independent simulation in the same state; model and matrices are shared."""
         twin = object.__new__(Simulation)
-        with interrupts_held():
+        with interrupts_delayed():
             twin._attach(self.name, self._scenes.copy(), self.path, self.worlds)
         return twin
 
     def __copy__(self) -> "Simulation":
-        """As `copy`: two simulations cannot share MuJoCo's data."""
+        """Return `copy`, because two simulations cannot share MuJoCo's data."""
         return self.copy()
 
     def __deepcopy__(self, memo: dict[int, object]) -> "Simulation":
-        """As `copy`; models never change."""
+        """Return `copy`, because models never change."""
         return self.copy()
 
-    # -- what there is to see: with a leading axis where there are `worlds` ----------------------------------------
+    # -- results; with a leading axis if there are `worlds` ----------------------------------------
 
     def _of(self, values: Sequence[Any] | Float) -> Any:
-        """Stack the values of the worlds in one array; without `worlds` there is no such axis."""
+        """Stack the values of the worlds in one array; without `worlds` do not add an axis."""
         return np.array(values[0] if self.worlds is None else values)
 
     @property
     def skins(self) -> tuple[str, ...]:
-        """Instance names of the skins."""
+        """Names of the instances of the skins."""
         return tuple(skin.spec.name for skin in self._scenes.runtimes[0].model.skins)
 
     @property
@@ -196,7 +195,7 @@ class Simulation:
         return tuple(body.name for body in self._scenes.runtimes[0].model.bodies)
 
     def skin(self, name: str | None = None) -> Any:
-        """Return a skin by its instance name, or the only skin without a name. Raises SceneError for an unknown name.
+        """Return a skin by the name of its instance, or the only skin. Raises SceneError for an unknown name.
 
         The type is `palmfield.session.Skin`, or `palmfield.session.WorldsSkin` with worlds.
         """
@@ -232,7 +231,7 @@ class Simulation:
     def forces(self) -> Float:
         """Mean force of the sound on each of `bodies` over the last step [N], world axes, shape (bodies, 3).
 
-        Before the first step, that over the coming step.
+        Before the first step it is the mean over this step.
         """
         return self._of(self._scenes.forces)
 
@@ -242,7 +241,7 @@ class Simulation:
         return self._of([one.sensordata for one in self._scenes.data])
 
     def sensor(self, name: str) -> Float:
-        """Return the numbers of one sensor by its name. Raises SceneError for an unknown name."""
+        """Return the values of one sensor by its name. Raises SceneError for an unknown name."""
         names = [self.model.sensor(number).name for number in range(self.model.nsensor)]
         if name not in names:
             raise SceneError(f"the scene has no sensor '{name}'; it has: {', '.join(names)}")
@@ -257,5 +256,5 @@ def load(
     board: str | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> Simulation:
-    """Read and check a scene; the arguments are those of Simulation."""
+    """Read and check a scene; arguments are those of Simulation."""
     return Simulation(path, device=device, accuracy=accuracy, board=board, keys=keys)

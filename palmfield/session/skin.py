@@ -1,4 +1,4 @@
-"""One skin of a stepped scene, for users."""
+"""Read one skin of a simulation."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from palmfield.types import Float, Float32, Int
 
 
 class Skin:
-    """One skin of a simulation, at the simulation's present time. Each array is computed on access."""
+    """One skin of a simulation at the present time. Each array is computed on access."""
 
     def __init__(self, runtime: SceneRuntime, number: int):
         self._runtime, self._number = runtime, number
@@ -26,12 +26,12 @@ class Skin:
 
     @property
     def name(self) -> str:
-        """Name of its plugin instance."""
+        """Name of the plugin instance."""
         return self._part.spec.name
 
     @property
     def solver(self) -> str:
-        """Its present or future stepper: a value of key `solver` other than "auto"."""
+        """Present or future solver: a value of key `solver` other than "auto"."""
         if at_rest(self._runtime.state, self._number):
             return self._part.choice.name
         return stepper_of(self._runtime.model, self._runtime.state, self._number)[0].name
@@ -43,7 +43,7 @@ class Skin:
 
     @property
     def rest_normal(self) -> Float:
-        """Their unit outward normals at rest, shape (S, 3)."""
+        """Unit outward normals of the surface nodes at rest, shape (S, 3)."""
         return self._part.nodes[1]
 
     @property
@@ -78,7 +78,7 @@ class Skin:
 
     @property
     def normal_displacement(self) -> Float:
-        """Along the outward normal [m], shape (S,): a push is negative."""
+        """Displacement along the outward normal [m], shape (S,); negative into the skin."""
         return np.einsum("si,si->s", self.displacement, self.rest_normal)
 
     @property
@@ -93,7 +93,7 @@ class Skin:
 
 
 def chosen_name(names: Sequence[str], name: str | None) -> str:
-    """Return the name of a skin; the only one without. Raises SceneError for an unknown name."""
+    """Return the name of a skin; without `name` that of the only one. Raises SceneError for an unknown name."""
     if name is None and len(names) == 1:
         return names[0]
     if name is None or name not in names:

@@ -25,7 +25,7 @@ USUAL_RATE_HZ = 1000.0
 
 @dataclass(frozen=True)
 class Exported:
-    """A stimulus as a table. table: ends with its last sound; warnings: on properties that a table cannot contain"""
+    """A stimulus as a table. table: ends with the last sound; warnings: properties that a table cannot represent"""
 
     table: FocusTable
     stimulus: str
@@ -42,13 +42,13 @@ def exported(
     duration_s: float | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> Exported:
-    """Sample a stimulus's foci and levels as a table, each sample held.
+    """Sample foci and levels of a stimulus as a table; each sample applies until the next.
 
-    stimulus: instance name, if there are several; rate_Hz: of the samples, by default that at which it steps (its
-    table's, a path's points, control ticks), else USUAL_RATE_HZ; quantity: of the intensities, by default its table's,
-    else ARP; frame: array, or skin for the frame of its site; duration_s: the scene's by default A table that a scene
-    plays unchanged is exported unchanged, with its straight lines.
-    Raises SceneError for a bad scene, an unknown stimulus or frame, a rate or duration out of range.
+    stimulus: instance, needed if there are several; rate_Hz: of the samples, default that of its steps (its table,
+        points of its path, control ticks), else USUAL_RATE_HZ; quantity: of the intensities, default that of its table,
+        else ARP; frame: array, or skin for the frame of its site; duration_s: default that of the scene
+    A table that a scene plays unchanged is exported unchanged, with its straight lines.
+    Raises SceneError for an invalid scene, an unknown stimulus or frame, and a rate or duration out of range.
     """
     view = preview(scene, keys=keys)
     model = view.runtime.model
@@ -86,18 +86,18 @@ def exported(
     points, factors = frames_at(part.config, times)
     places = _places(view, number, times, points, frame)
     loud = np.array([_each(part, one) for one in points]) * factors[:, None]
-    asked: Quantity = quantity or ("arp" if own is None else own.quantity)
+    chosen: Quantity = quantity or ("arp" if own is None else own.quantity)
     exponent = model.spec.driver.duty_exponent
     table = focus_table(
-        times, places, _intensities(loud, asked, exponent), rate_Hz=rate, frame=frame, quantity=asked
+        times, places, _intensities(loud, chosen, exponent), rate_Hz=rate, frame=frame, quantity=chosen
     )  # fmt: skip
     return Exported(table.without_repeats(), part.spec.name, warnings)
 
 
 def export_stimulus(result: Exported, path: Path, *, again: bool = False, overwrite: bool = False) -> None:
-    """Write a table (.csv) or an STM of AUTD3 units (.json; again: without end).
+    """Write a table (.csv) or an STM of AUTD3 units (.json). again: repeat the STM without end.
 
-    Raises OutputError for another kind of file or one that may not be replaced, SceneError for a table that AUTD3 units
+    Raises OutputError for an unknown suffix or a file that may not be replaced, SceneError for a table that AUTD3 units
     cannot play.
     """
     if path.suffix.lower() not in (".csv", ".json"):
@@ -133,15 +133,15 @@ def _warnings(part: StimulusModel, names: list[str]) -> tuple[str, ...]:
 
 
 def _places(view: Preview, number: int, times: Float, points: Float, frame: TableFrame) -> Float:
-    """Return places of the foci at some times [m], shape (n, foci, 3), in the array's frame or the stimulus's own."""
+    """Return positions of the foci at some times [m], shape (n, foci, 3), in the frame of the array or stimulus."""
     part = view.runtime.model.stimuli[number]
     if frame == "skin":
         own = FocalPoints(IDENTITY, part.offsets, None,
                           part.spec.focus_table)  # fmt: skip
         return np.array([np.atleast_2d(own.at(point)) for point in points])
     if not part.spec.frame_moves:
-        held = view.runtime.posed.focal_points(part, number)
-        return np.array([np.atleast_2d(held.at(point)) for point in points])
+        foci = view.runtime.posed.focal_points(part, number)
+        return np.array([np.atleast_2d(foci.at(point)) for point in points])
     result = []
     for (_, _, posed), point in zip(view.posed_at(times), points, strict=True):
         result.append(np.atleast_2d(posed.focal_points(part, number).at(point)))
@@ -149,7 +149,7 @@ def _places(view: Preview, number: int, times: Float, points: Float, frame: Tabl
 
 
 def _each(part: StimulusModel, point: Float) -> Float:
-    """ARP of each focus relative to the loudest, shape (foci,)."""
+    """Return the ARP of each focus relative to the loudest, shape (foci,)."""
     if (table := part.spec.focus_table) is not None:
         each = table.arp_of_each(point[:1])[0]
         return np.asarray(each / each.max()) if each.max() > 0.0 else np.zeros(table.foci)

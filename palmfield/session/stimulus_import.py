@@ -1,4 +1,4 @@
-"""Import a table of foci, or an STM of AUTD3 units, into a scene: writes the table and keys that play it."""
+"""Import a table of foci, or an STM of AUTD3 units, into a scene: write the table, and a scene that plays it."""
 
 import tempfile
 from dataclasses import dataclass, replace
@@ -24,12 +24,12 @@ REPLACED = (
     "path", "path_on", "on_skin", "focus_m", "foci_m", "foci_arp", "frame", "modulation", "burst_window",
     "burst_length_s", "burst_period_s", "burst_count", *PATH_KEYS, *AM_KEYS,
 )  # fmt: skip
-"""Keys for place and level of the focus, which the table replaces; level, start and end remain those of the scene."""
+"""Keys for position and modulation of the focus, which the table replaces; level, start and end are kept."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """Result of an import. scene, table: the files; keys: new ones; dropped: removed ones"""
+    """Result of an import. scene, table: the files; keys: new keys; dropped: removed keys"""
 
     scene: Path
     table: Path
@@ -42,9 +42,9 @@ class Imported:
 
 
 def read_stimulus(path: Path) -> tuple[FocusTable, bool]:
-    """Read the table from a CSV file, or convert an STM from a JSON file; returns also whether it repeats.
+    """Read a table from a CSV file, or convert an STM from a JSON file; return also whether it repeats.
 
-    Raises SceneError for another kind of file, and as `read_focus_table`, `read_foci_stm` and `table_of_stm`.
+    Raises SceneError for an unknown suffix, and errors of `read_focus_table`, `read_foci_stm` and `table_of_stm`.
     """
     match path.suffix.lower():
         case ".csv":
@@ -66,12 +66,12 @@ def import_stimulus(
     repeat: bool = False,
     overwrite: bool = False,
 ) -> Imported:
-    """Write a scene whose stimulus plays a file, and the table that it plays in the same folder.
+    """Write a scene whose stimulus plays a file, and the table in the same folder.
 
-    out: the new scene, in the scene's folder, SCENE_FILE.xml by default; stimulus: instance name, if there are several;
-    site: whose frame a table of frame `skin` uses; repeat: whether it restarts at its end, as an STM without end always
-    does; overwrite: whether existing files may be replaced
-    Raises SceneError for a bad file or scene, for a moving array with a table in the world's frame, and for any error
+    out: new scene, in the folder of the scene, default SCENE_FILE.xml; stimulus: instance, needed if there are several
+    site: its frame is used by a table with frame `skin`; repeat: whether the table restarts at its end (an STM without
+        end always does); overwrite: whether existing files may be replaced
+    Raises SceneError for an invalid file or scene, for a moving array with a table in the world frame, and for errors
     of the new scene; OutputError if a file may not be replaced.
     """
     if not scene.is_file():
@@ -115,29 +115,29 @@ def _instance(scene: Path, stimulus: str | None) -> str:
         return names[0]
     if stimulus in names:
         return str(stimulus)
-    told = "has several stimuli" if stimulus is None else f"has no stimulus '{stimulus}'{did_you_mean(stimulus, names)}"
-    raise SceneError(f"{scene} {told}; give --stimulus, one of: {', '.join(names)}")
+    what = "has several stimuli" if stimulus is None else f"has no stimulus '{stimulus}'{did_you_mean(stimulus, names)}"
+    raise SceneError(f"{scene} {what}; give --stimulus, one of: {', '.join(names)}")
 
 
 def _site(scene: Path, site: str | None) -> str:
-    """Return the site of a table of frame `skin`: the named one, or the only one on the body of a skin."""
+    """Return the site of a table of frame `skin`: the given one, or the only one on the body of a skin."""
     spec = opened(scene).spec
     bodies = {one.keys.get("body") for one in instances_of(scene, {})[0] if one.plugin == SKIN}
     sites = [one.name for one in spec.sites if one.parent.name in bodies]
     if site is None and len(sites) == 1:
         return sites[0]
-    known = [one.name for one in spec.sites if one.name]
-    if site in known:
+    names = [one.name for one in spec.sites if one.name]
+    if site in names:
         return str(site)
-    what = "is not given" if site is None else f"has value '{site}'{did_you_mean(site, known)}"
+    what = "is not given" if site is None else f"has value '{site}'{did_you_mean(site, names)}"
     raise SceneError(
         f"the frame of the table is 'skin', but --site {what}; allowed: a site of the hand in {scene}: "
-        f"{', '.join(sites or known)}"
+        f"{', '.join(sites or names)}"
     )
 
 
 def _in_array(table: FocusTable, scene: Path, stimulus: str) -> FocusTable:
-    """Transform a table from the world's frame to that of the first array that the stimulus drives."""
+    """Transform a table from the world frame to that of the first array of the stimulus."""
     listed = instances_of(scene, {})[0]
     named = next(one.keys.get("arrays", "") for one in listed if one.name == stimulus).split()
     array = next(one for one in listed if one.plugin == ARRAY and (not named or one.name == named[0]))
@@ -162,7 +162,7 @@ def _in_array(table: FocusTable, scene: Path, stimulus: str) -> FocusTable:
 
 
 def _rewritten(scene: Path, stimulus: str, keys: dict[str, str]) -> tuple[bytes, tuple[str, ...]]:
-    """Return the file of the scene with other keys of a stimulus, and the names of the removed ones."""
+    """Return the file of the scene with changed keys of a stimulus, and the names of the removed ones."""
     data, elements = scene.read_bytes(), elements_of(scene)
     instance = next((e for e in elements if e.tag == "instance" and _is(e, stimulus)), None)
     if instance is None:

@@ -1,4 +1,4 @@
-"""Keys whose values differ between the worlds of a simulation, and the values of each world."""
+"""Separate keys whose values differ between the worlds of a simulation, and apply the values of each world."""
 
 import functools
 from collections.abc import Mapping, Sequence
@@ -17,19 +17,19 @@ BY_PLUGIN: dict[str, type[Config]] = {config.plugin: config for config in CONFIG
 BOUND = ("arrays", "frame", "path_on", "on_skin", "path_sites")
 """Keys of a stimulus that name parts of the scene."""
 OF_TABLES = ("modulation", "am_file", "am_frequency_Hz", "path", "path_file")
-"""Keys that select the waveform and foci to read, and whether reading is allowed."""
+"""Keys that determine which files of waveforms and foci are read."""
 SHARED = {
     "palmfield.array": "all worlds share the arrays",
     "palmfield.skin": "all worlds share the skin's mesh and matrices",
     "palmfield.driver": "all worlds share the board",
     "palmfield.motion": "different poses are given by `poses`",
 }
-"""Why the keys of a plugin cannot differ."""
+"""Reasons why the keys of a plugin cannot differ."""
 
 
 @dataclass(frozen=True)
 class WorldKeys:
-    """A simulation's keys. common: keys of the model, with the first world's values for keys that differ;
+    """Keys of a simulation. common: keys of the model; for keys that differ the values of the first world
     differing: by instance and key, a value for each world"""
 
     common: dict[str, object]
@@ -37,32 +37,32 @@ class WorldKeys:
 
 
 def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, str]) -> WorldKeys:
-    """Separate keys with one value from those with one for each world, by one axis more than the key itself has.
+    """Separate keys with one value from keys with a value for each world, which have one more axis.
 
-    keys: as `palmfield.session.open_scene.compiled`; plugins: name of the plugin, by instance of the scene
-    Raises SceneError for another number of values than worlds, another shape, and a key that cannot differ.
+    keys: as in `palmfield.session.open_scene.compiled`; plugins: name of the plugin, by instance of the scene
+    Raises SceneError for a number of values that is not that of worlds, a wrong shape, and a key that cannot differ.
     """
     common: dict[str, object] = dict(keys)
     differing: dict[str, dict[str, tuple[object, ...]]] = {}
-    for given, value in keys.items():
-        owner, _, key = given.rpartition(".")
+    for dotted, value in keys.items():
+        owner, _, key = dotted.rpartition(".")
         plugin = plugins.get(owner, f"palmfield.{owner.removeprefix('palmfield.')}")
         config = BY_PLUGIN.get(plugin)
         if config is None or key not in config.model_fields or _depth(value) <= axes_of(config, key):
             continue  # one value for all worlds, or unknown, which `compiled` reports
-        values = _by_world(given, value, worlds, config, key)
+        values = _by_world(dotted, value, worlds, config, key)
         if plugin != StimulusConfig.plugin:
             raise SceneError(
-                f"key '{given}' has a value for each world, but {SHARED[plugin]}; allowed: one value for all"
+                f"key '{dotted}' has a value for each world, but {SHARED[plugin]}; allowed: one value for all"
             )
         if key in BOUND:
             raise SceneError(
-                f"key '{given}' has a value for each world, but it names parts of the scene, which all worlds "
+                f"key '{dotted}' has a value for each world, but it names parts of the scene, which all worlds "
                 f"share; keys that may differ: all keys of a stimulus except {', '.join(BOUND)}"
             )
-        common[given] = values[0]
+        common[dotted] = values[0]
         for instance in [owner] if owner in plugins else [name for name, one in plugins.items() if one == plugin]:
-            # A value for one instance overrides that for all of its plugin
+            # A value for one instance overrides that for all instances of its plugin
             if instance == owner or f"{instance}.{key}" not in keys:
                 differing.setdefault(instance, {})[key] = values
     return WorldKeys(common, differing)
@@ -71,9 +71,9 @@ def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, st
 def world_specs(
     spec: SceneSpec, texts: Mapping[str, Mapping[str, str]], keys: WorldKeys, worlds: int
 ) -> list[SceneSpec]:
-    """Return the scene in each world; spec, and texts of its stimuli's keys by instance: those of the first world.
+    """Return the scene in each world. spec, texts of keys of stimuli by instance: those of the first world.
 
-    Raises SceneError, naming the world, for an invalid value of a key.
+    Raises SceneError, with the world, for an invalid value of a key.
     """
     specs = []
     for world in range(worlds):
@@ -91,9 +91,9 @@ def world_specs(
 
 
 def with_texts(stimulus: StimulusSpec, texts: Mapping[str, str], element: str) -> StimulusSpec:
-    """Return a stimulus with other values for its keys, except BOUND ones.
+    """Return a stimulus with changed keys, except BOUND ones.
 
-    texts: of all keys that it has; element: how messages name it. Raises SceneError for an invalid value of a key.
+    texts: of all its keys; element: its name in messages. Raises SceneError for an invalid value of a key.
     """
     config: Any = with_files_found(parse(StimulusConfig, dict(texts), element), element)
     table, foci = stimulus.am_table, stimulus.focus_table
@@ -103,7 +103,7 @@ def with_texts(stimulus: StimulusSpec, texts: Mapping[str, str], element: str) -
 
 
 def axes_of(config: type[Config], key: str) -> int:
-    """Axes of a key's own value: 1 for lists and vectors, 0 for numbers and texts."""
+    """Return the number of axes of a single value: 1 for lists and vectors, 0 for numbers and texts."""
     return int(_schema(config, key).get("type") == "array")
 
 
@@ -115,7 +115,7 @@ def _schema(config: type[Config], key: str) -> dict[str, Any]:
 
 
 def _depth(value: object) -> int:
-    """Axes of a value: of an array, or of sequences within each other."""
+    """Return the number of axes of an array or of nested sequences."""
     if isinstance(value, np.ndarray):
         return value.ndim
     if isinstance(value, Sequence) and not isinstance(value, str):
@@ -123,8 +123,8 @@ def _depth(value: object) -> int:
     return 0
 
 
-def _by_world(given: str, value: Any, worlds: int, config: type[Config], key: str) -> tuple[object, ...]:
-    """Return one value for each world. Raises SceneError for another shape."""
+def _by_world(dotted: str, value: Any, worlds: int, config: type[Config], key: str) -> tuple[object, ...]:
+    """Return one value for each world. Raises SceneError for a wrong shape."""
     axes, length = axes_of(config, key), _schema(config, key).get("maxItems")
     longs = {len(part) for part in value} if axes and _depth(value) > 1 else set()
     if len(value) == worlds and _depth(value) == axes + 1 and (length is None or longs == {length}):
@@ -132,11 +132,11 @@ def _by_world(given: str, value: Any, worlds: int, config: type[Config], key: st
     shape = value.shape if isinstance(value, np.ndarray) else (len(value), *(longs if len(longs) == 1 else "?" * axes))
     own = (length or "n",) * axes
     raise SceneError(
-        f"key '{given}' has shape {_told(shape)}; allowed with {worlds} worlds: {_told(own)}, the same for all, or "
-        f"{_told((worlds, *own))} with a value for each"
+        f"key '{dotted}' has shape {_text(shape)}; allowed with {worlds} worlds: {_text(own)}, the same for all, or "
+        f"{_text((worlds, *own))} with a value for each"
     )
 
 
-def _told(shape: tuple[object, ...]) -> str:
-    """Return a shape as text, also with letters for any number."""
+def _text(shape: tuple[object, ...]) -> str:
+    """Return a shape as text; it may contain letters for any number."""
     return f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"

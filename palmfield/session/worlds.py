@@ -1,4 +1,4 @@
-"""Several worlds of one scene, with different stimuli and hand positions, stepped together."""
+"""Open several worlds of one scene, with different stimuli and hand positions, which are stepped together."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Unpack
@@ -12,7 +12,7 @@ from palmfield.engine.host import world_of
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.engine.worlds import SceneWorlds, plain_model
 from palmfield.errors import SceneError
-from palmfield.interrupts import interrupts_held
+from palmfield.interrupts import interrupts_delayed
 from palmfield.session.open_scene import Options, Source, compiled, fresh_data, opened
 from palmfield.session.skin import Skin
 from palmfield.session.world_keys import split_keys, world_specs
@@ -31,11 +31,11 @@ def open_worlds(
 ) -> tuple[str, SceneWorlds]:
     """Return the name of a scene for messages, and its worlds, ready to step.
 
-    scene, worlds, poses, options: as of `palmfield.Simulation`
-    base: keys of MuJoCo's model, in place of the first world's; then all of `keys` differ
-    shared: layers and solvers that these worlds share with others that are stepped separately. Errors are those of
-    `palmfield.session.open_scene.compiled`. SceneError too for another number of worlds, keys or poses of another shape
-    and keys that cannot differ.
+    scene, worlds, poses, options: as in `palmfield.Simulation`
+    base: keys of the MuJoCo model instead of those of the first world; then all of `keys` differ
+    shared: layers and solvers that these worlds share with worlds that are stepped separately
+    Raises the errors of `palmfield.session.open_scene.compiled`, and SceneError for an invalid number of worlds, keys
+    or poses of a wrong shape, and keys that cannot differ.
     """
     check_count(worlds)
     plugins = _plugins(scene)
@@ -49,13 +49,13 @@ def open_worlds(
     specs = world_specs(spec, stimulus_texts(world.scene), split, worlds)
     plain = plain_model(model)
     models = build_worlds(specs, None if base is None else spec, shared)
-    led = {_mocap(model, body): _poses(body, given, worlds) for body, given in (poses or {}).items()}
+    led = {_mocap(model, body): _poses(body, values, worlds) for body, values in (poses or {}).items()}
     if plain is model:
         data = [first, *(fresh_data(model, name) for _ in range(worlds - 1))]
     else:
         model, data = plain, [mujoco.MjData(plain) for _ in range(worlds)]
     scenes = SceneWorlds(first, data, models, led)
-    with interrupts_held():
+    with interrupts_delayed():
         scenes.place()
         scenes.look()
     return name, scenes
@@ -65,16 +65,16 @@ def _in_each(name: str, about: str) -> Any:
     return property(lambda self: np.array([getattr(skin, name) for skin in self._skins]), doc=about)
 
 
-def _shared(known: Any) -> Any:
-    """What `Skin` has, and is the same in all worlds."""
-    return property(lambda self: known.fget(self._skins[0]), doc=known.__doc__)
+def _shared(own: Any) -> Any:
+    """Return a property of `Skin` that is equal in all worlds."""
+    return property(lambda self: own.fget(self._skins[0]), doc=own.__doc__)
 
 
 class WorldsSkin:
     """One skin in all worlds at their present time. Each array is computed on access."""
 
     def __init__(self, skins: list[Skin], settle: Callable[[], None]):
-        """settle: brings the state up to date"""
+        """settle: function that updates the state"""
         self._all, self._settle = skins, settle
 
     @property
@@ -84,7 +84,7 @@ class WorldsSkin:
 
     @property
     def solver(self) -> tuple[str, ...]:
-        """Its present or future stepper in each world."""
+        """Present or future solver in each world."""
         return tuple(skin.solver for skin in self._skins)
 
     name: str = _shared(Skin.name)
@@ -102,7 +102,7 @@ class WorldsSkin:
         "velocity", "Velocity of the surface nodes, in the resting body's axes [m/s], shape (worlds, S, 3)."
     )
     normal_displacement: Float = _in_each(
-        "normal_displacement", "Along the outward normal [m], shape (worlds, S): a push is negative."
+        "normal_displacement", "Displacement along the outward normal [m], shape (worlds, S); negative into the skin."
     )
     arp: Float32 = _in_each(
         "arp", "Acoustic radiation pressure at the surface nodes [Pa], positive inwards, shape (worlds, S)."
@@ -110,20 +110,20 @@ class WorldsSkin:
 
 
 def stimulus_texts(runtime: SceneRuntime) -> dict[str, dict[str, str]]:
-    """The keys of the stimuli of a scene as MuJoCo's model has them, by instance and key."""
+    """Return the keys of the stimuli of a scene in the MuJoCo model, by instance and key."""
     model = runtime.view.model
     instances = {name: number for number, _, name in model.instances()}
     return {part.name: model.values(instances[part.name], known_keys(StimulusConfig)) for part in runtime.spec.stimuli}
 
 
 def check_count(worlds: object) -> None:
-    """Raises SceneError for a number of worlds that is not a whole number of 1 or more."""
+    """Raise SceneError for a number of worlds that is not a whole number >= 1."""
     if isinstance(worlds, bool) or not isinstance(worlds, int | np.integer) or worlds < 1:
         raise SceneError(f"worlds is {worlds!r}; allowed: a whole number of 1 or more")
 
 
 def _plugins(scene: Source) -> dict[str, str]:
-    """Name of the plugin of each instance."""
+    """Return the name of the plugin of each instance."""
     if isinstance(scene, mujoco.MjModel):
         return {}
     spec = opened(scene).spec
@@ -143,9 +143,9 @@ def _mocap(model: mujoco.MjModel, body: str) -> int:
     return mocap
 
 
-def _poses(body: str, given: ArrayLike, worlds: int) -> Float:
-    """Poses as float64. Raises SceneError for another shape, and for numbers or quaternions that are not valid."""
-    poses = np.array(given, dtype=np.float64)
+def _poses(body: str, values: ArrayLike, worlds: int) -> Float:
+    """Return poses as float64. Raises SceneError for a wrong shape, and for invalid numbers or quaternions."""
+    poses = np.array(values, dtype=np.float64)
     if poses.ndim != 3 or poses.shape[0] != worlds or poses.shape[2] != 7 or poses.shape[1] == 0:
         raise SceneError(
             f"poses of '{body}' have shape {poses.shape}; allowed: ({worlds}, steps, 7), position and quaternion "

@@ -44,6 +44,8 @@ from palmfield.types import Complex, Float, Float32
 
 T = TypeVar("T")
 ONE: Float = np.ones((1, 1, 1))
+Loaded = list[tuple[SkinStepper, Rows, SurfaceLoads]]
+"""Steppers of a skin with the numbers of their worlds (w,) and the loads there."""
 KEPT = 64
 """Number of cached assignments of worlds to steppers."""
 
@@ -233,9 +235,11 @@ class HostBackend(Backend):
         self._read_arp(skin, place, arp)
         part, here = self.state.skins[skin], self.joined
         begun = here[part[here, 0] != 0.0]
-        if not self._several and len(begun):
-            stepper_of(self.models[0], self.state, skin)  # raises SceneError for the state of another model
-        for stepper, own in self.steppers(skin, begun):
+        if self._several or not len(begun):
+            steppers = self.steppers(skin, begun)
+        else:
+            steppers = [(stepper_of(self.models[0], self.state, skin)[0], begun)]
+        for stepper, own in steppers:
             read = stepper.read(part[own, HEADER : HEADER + stepper.state_size], place.reader(stepper))
             motion[own] = read[..., 0]
 
@@ -336,12 +340,12 @@ class HostBackend(Backend):
         for skin in range(len(self.models[0].skins)):
             if not self._anywhere[skin]:
                 self._leave_small_models(group, skin, t0)
-            steppers = self.steppers(skin, group.worlds)
-            if self._leave_class(group, skin, steppers, t0):
-                steppers = self.steppers(skin, group.worlds)
+            loaded = self._loads(group, skin)
+            if self._leave_class(group, skin, loaded, t0):
+                loaded = self._loads(group, skin)
             watched = []
-            for stepper, own in steppers:
-                seen = self._step(group, skin, stepper, own, (t0, t1))
+            for stepper, own, loads in loaded:
+                seen = self._step(skin, stepper, own, loads, (t0, t1))
                 if seen is not None:
                     watched.append((own, seen))
             motion.append(tuple(watched))
@@ -380,23 +384,17 @@ class HostBackend(Backend):
             self.models[world], state, skin, self._posed[world], work.emission, work.radiation, group.begun(i), t0
         )
 
-    def _leave_class(
-        self,
-        group: StepTrace,
-        skin: int,
-        steppers: Sequence[tuple[SkinStepper, Rows]],
-        t0: float,
-    ) -> bool:
+    def _leave_class(self, group: StepTrace, skin: int, loaded: Loaded, t0: float) -> bool:
         """Measure the part of the loads outside the class of a skin's modes; if large, the whole layer takes over.
 
         Returns whether any world does so.
         """
         left = False
-        for stepper, own in steppers:
+        for stepper, own, loads in loaded:
             if not stepper.of_class:
                 continue
             at = group.worlds.searchsorted(own)
-            for i, seen in zip(at.tolist(), self._outside(group, skin, stepper, at), strict=True):
+            for i, seen in zip(at.tolist(), self._outside(skin, stepper, own, group.keys[at], loads), strict=True):
                 world = int(group.worlds[i])
                 model, work = self.models[world], self.works[world]
                 if leaves_class(model, skin, work.outside_share(skin, stepper, seen)):
@@ -404,43 +402,27 @@ class HostBackend(Backend):
                     left = True
         return left
 
-    def _outside(self, group: StepTrace, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
-        """Return the part of the loads on a skin outside the class of its modes; at: indices of worlds in the group."""
-        worlds = group.worlds[at]
-        first, last = group.first[at], group.last[at]
-        pressure, fixed = self._stack(group, skin, stepper, at)
-        if not fixed or not self._several:
-            return [stepper.outside(SurfaceLoads(pressure, first, last))]
-        mixed = stepper.mixed(SurfaceLoads(np.zeros(0), first, last))
-        squares = np.add.reduce(mixed**2, axis=(1, 2))
+    def _outside(
+        self, skin: int, stepper: SkinStepper, worlds: Rows, keys: Serials, loads: SurfaceLoads
+    ) -> list[Outside]:
+        """Return the part of the loads on a skin outside the class of its modes; keys: as of StepTrace, (w, 2)."""
+        if not loads.fixed or not self._several:
+            return [stepper.outside(loads)]
+        squares = np.add.reduce(stepper.mixed(loads) ** 2, axis=(1, 2))
 
         def of_unit(world: int) -> Float:
             i = worlds.searchsorted(world)
-            return np.array(stepper.outside(SurfaceLoads(pressure[i : i + 1], ONE, ONE)))
+            return np.array(stepper.outside(SurfaceLoads(loads.pressure_Pa[i : i + 1], ONE, ONE)))
 
-        units = self._kept.rows(("outside", skin), (len(Outside._fields),), worlds, group.keys[at], of_unit)
+        units = self._kept.rows(("outside", skin), (len(Outside._fields),), worlds, keys, of_unit)
         return [Outside(*row) for row in (squares[:, None] * units).tolist()]
 
-    def _patterns(self, group: StepTrace, skin: int, stepper: SkinStepper, i: int) -> Float32:
-        """Return the patterns of ARP in the i-th world of a group [Pa], shape (p, n)."""
-        world = int(group.worlds[i])
-        posed, course = self._posed[world], group.course(i)
-        return self.works[world].patterns(posed, skin, stepper, course)
-
     def _step(
-        self,
-        group: StepTrace,
-        skin: int,
-        stepper: SkinStepper,
-        worlds: Rows,
-        times: tuple[float, float],
+        self, skin: int, stepper: SkinStepper, worlds: Rows, loads: SurfaceLoads, times: tuple[float, float]
     ) -> Float | Float32 | None:
         """Step a skin in some worlds by one stepper. The points watched in the first world are watched in all."""
         part, numbers = self.state.skins[skin], slice(HEADER, HEADER + stepper.state_size)
         self._claim(skin, stepper, worlds)
-        at = group.worlds.searchsorted(worlds)
-        pressure, fixed = self._stack(group, skin, stepper, at)
-        loads = SurfaceLoads(pressure, group.first[at], group.last[at], fixed)
         together = self._several and int(worlds[0]) not in self._apart
         step = (self._on_device(skin, stepper) if together else None) or stepper.step
         work = self.works[worlds[0]]
@@ -456,30 +438,43 @@ class HostBackend(Backend):
         """Write a stepper into the states of a skin. Raises an error for a state in motion without a writer."""
         part = self.state.skins[skin]
         for world in worlds.tolist() if not self._several else worlds[part[worlds, 0] == 0.0].tolist():
-            stepper_of(self.models[world], self._states[world], skin)
             claim(self.models[world], self._states[world], skin, stepper)
 
-    def _stack(self, group: StepTrace, skin: int, stepper: SkinStepper, at: Rows) -> tuple[Float32, bool]:
-        """Return the ARP patterns in some worlds of a group, shape (w, p, n), the same array while pose and drive stay,
-        and whether steppers may store results computed from it."""
-        key = group.worlds[at].tobytes() + group.keys[at].tobytes()
-        stacked = self._kept.of((skin, stepper), key, self._stacked, group, skin, stepper, at)
-        return stacked, group.first.shape[2] == 1
+    def _loads(self, group: StepTrace, skin: int) -> Loaded:
+        """Return the steppers of a skin with their worlds and loads. Patterns stay one array while pose and drive do.
+
+        If the load is one pattern, steppers may store results computed from it.
+        """
+        loaded = []
+        for stepper, own in self.steppers(skin, group.worlds):
+            at = group.worlds.searchsorted(own)
+            key = own.tobytes() + group.keys[at].tobytes()
+            pressure = self._kept.of((skin, stepper), key, self._stacked, group, skin, stepper, at)
+            loads = SurfaceLoads(pressure, group.first[at], group.last[at], group.first.shape[2] == 1)
+            loaded.append((stepper, own, loads))
+        return loaded
 
     def _stacked(self, group: StepTrace, skin: int, stepper: SkinStepper, at: Rows) -> Float32:
-        """Compute the patterns of `_stack`, once for worlds with the same pose and drive."""
+        """Return ARP patterns in some worlds of a group [Pa], shape (w, p, n), once for equal poses and drives.
+
+        at: indices of the worlds in the group
+        """
         made: dict[bytes, Float32] = {}
         patterns = []
         for i in at.tolist():
             own = group.keys[i].tobytes()
             if own not in made:
-                made[own] = self._patterns(group, skin, stepper, i)
+                made[own] = self._patterns(int(group.worlds[i]), skin, stepper, group.course(i))
             patterns.append(made[own])
         if len(patterns) == 1:
             return patterns[0][None]
         if len(made) == 1:  # one array for all worlds
             return np.broadcast_to(patterns[0], (len(patterns), *patterns[0].shape))
         return np.stack(patterns)
+
+    def _patterns(self, world: int, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
+        """Return the patterns of ARP of a course at the points of a stepper of a skin [Pa], shape (p, n)."""
+        return self.works[world].patterns(self._posed[world], skin, stepper, course)
 
     def steppers(self, skin: int, worlds: Rows) -> list[tuple[SkinStepper, Rows]]:
         """Return the steppers of a skin, each with those of `worlds` that it steps."""

@@ -369,8 +369,8 @@ class MovingWorlds(Backend):
             self.state.set_emission(slice(None), hosts["path_end"].view(np.complex128)[..., 0])
         for number, of in work.of.skins.items() if skins else ():
             keeper.outside[number].add(Outside(*np.concatenate(self._seen[number]).tolist()))
-            self.state.skins[number][:, HEADER : HEADER + of.stepper.state_size] = hosts[f"after_{number}"]
             claim(model, self.state, number, of.stepper)
+            self.state.skins[number][:, HEADER : HEADER + of.stepper.state_size] = hosts[f"after_{number}"]
 
 
 def _outside(work: GraphWork, skin: int) -> Outside:

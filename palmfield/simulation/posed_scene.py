@@ -73,7 +73,7 @@ class PosedSurface:
 
     model: the body at rest. skin: the first skin on it. frame: frame of the body in that of the first array.
     bone_positions, bone_rotations: in the body's frame, shapes (b, 3) and (b, 3, 3); empty for a body in one piece.
-    serial: unique number.
+    serial: unique number. numbers: of the pose, as bytes: only if they are equal, a stored field may be reused.
     """
 
     def __init__(self, model: BodyModel, skin: SkinModel, frame: Transform, bones: tuple[Float, Float]):
@@ -82,10 +82,6 @@ class PosedSurface:
         self.serial = next_serial()
         place, turn = frame
         self.numbers = place.tobytes() + turn.tobytes() + bones[0].tobytes() + bones[1].tobytes()
-
-    def same(self, other: "PosedSurface") -> bool:
-        """Whether two poses are exactly equal: only then may a stored field be reused."""
-        return self.numbers == other.numbers
 
     @cached_property
     def vertices(self) -> Float:
@@ -155,16 +151,13 @@ class PosedSkin:
     """One skin layer in one pose; positions are in the array frame.
 
     obstacle_positions, obstacle_rotations: of the obstacles other than bodies with skins, in the body's frame
+    numbers: of their poses, as bytes
     """
 
     def __init__(self, skin: SkinModel, body: PosedSurface, obstacles: tuple[Float, Float]):
         self.skin, self.body, self.serial = skin, body, next_serial()
         self.obstacle_positions, self.obstacle_rotations = obstacles
         self.numbers = obstacles[0].tobytes() + obstacles[1].tobytes()
-
-    def same_obstacles(self, other: "PosedSkin") -> bool:
-        """Whether the obstacles have exactly the same pose relative to the body."""
-        return self.numbers == other.numbers
 
     @cached_property
     def nodes(self) -> tuple[Float, Float]:
@@ -230,11 +223,6 @@ class PosedScene:
         for position, rotation in (array_frame, *self.frames):
             self.numbers += position.tobytes() + rotation.tobytes()
 
-    def same(self, other: "PosedScene") -> bool:
-        """Whether sound and skins are unchanged. Parts that do not move keep their serial numbers."""
-        mine, its = (self.arrays, *self.bodies, *self.skins), (other.arrays, *other.bodies, *other.skins)
-        return self.numbers == other.numbers and list(map(SERIAL, mine)) == list(map(SERIAL, its))
-
     def focal_points(self, stimulus: StimulusModel, number: int) -> FocalPoints:
         """Return the points of a stimulus, by its number, in this pose."""
         course = None
@@ -299,7 +287,7 @@ def posed_scene(
         of_bones = _seen_from(world_positions, world_rotations, row, bones)
         body = PosedSurface(model.bodies[number], first.skin, frame, of_bones)
         placed.append(body)
-        if previous.bodies[number].same(body):
+        if previous.bodies[number].numbers == body.numbers:
             bodies.append(previous.bodies[number])
         elif (
             model.still_m[number] > 0.0
@@ -315,7 +303,7 @@ def posed_scene(
         obstacles = _seen_from(world_positions, world_rotations, row, layout.obstacles[number])
         posed_skin = PosedSkin(skin, body, obstacles)
         last, first_pose = previous.skins[number], reference.skins[number]
-        if last.body is body and last.same_obstacles(posed_skin):
+        if last.body is body and last.numbers == posed_skin.numbers:
             posed_skin = last
         elif (
             skin.settles
@@ -326,7 +314,10 @@ def posed_scene(
             posed_skin = first_pose
         skins.append(posed_skin)
     posed = PosedScene(Transform(origin, turn), arrays, frames, bodies, skins, sources)
-    return previous if posed.same(previous) else posed
+    # Parts that do not move keep their serial numbers
+    mine, its = (arrays, *bodies, *skins), (previous.arrays, *previous.bodies, *previous.skins)
+    same = posed.numbers == previous.numbers and list(map(SERIAL, mine)) == list(map(SERIAL, its))
+    return previous if same else posed
 
 
 def settled_worlds(

@@ -47,7 +47,8 @@ class Radiation:
 
     def choose(self, skin: int, points: Int) -> None:
         """Set the points for the role "load": numbers of quadrature points of a skin, shape (p,)."""
-        self.chosen[skin] = self._choices.of((skin, id(points)), (), ChosenPoints, self.model.skins[skin], points)
+        if skin not in self.chosen or self.chosen[skin].numbers is not points:
+            self.chosen[skin] = self._choices.of((skin, id(points)), (), ChosenPoints, self.model.skins[skin], points)
 
     def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex, serial: int = 0) -> SurfaceSound:
         """Return ARP at quadrature points, force samples or surface nodes of a skin, for an emission of shape (N,).

@@ -22,17 +22,20 @@ from palmfield.errors import PalmfieldError
 from palmfield.simulation.backend import Frames, StepTrace
 from palmfield.simulation.emission import MeanDrives, PathStep
 from palmfield.simulation.graph_work import PURPOSES, GraphOf, GraphSizes, GraphWork
-from palmfield.simulation.host_backend import HostBackend
-from palmfield.simulation.kept import Bool, Kept, Rows
+from palmfield.simulation.host_backend import ONE, HostBackend, Loaded
+from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout
 from palmfield.simulation.scene_points import MotionRows, motions_of
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.state import HEADER, HapticState, at_rest, stepper_of
 from palmfield.simulation.workspace import Workspace
-from palmfield.skin.stepper import DeviceModel, Outside, SkinStepper
+from palmfield.skin.stepper import DeviceModel, Outside, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
+
+NO_LOADS = SurfaceLoads(np.zeros(0), ONE, ONE)
+"""For a skin that the graph has stepped."""
 
 
 class Sounding(NamedTuple):
@@ -313,24 +316,32 @@ class SceneGraph(HostBackend):
         here = self.course is not None and self._stepped.get(skin) is stepper
         return self._now if here else None
 
-    def _outside(self, group: StepTrace, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
+    def _loads(self, group: StepTrace, skin: int) -> Loaded:
+        [(stepper, own)] = self.steppers(skin, group.worlds)
+        if self._steps_here(skin, stepper) is None:
+            return super()._loads(group, skin)
+        return [(stepper, own, NO_LOADS)]
+
+    def _outside(
+        self, skin: int, stepper: SkinStepper, worlds: Rows, keys: Serials, loads: SurfaceLoads
+    ) -> list[Outside]:
         now = self._steps_here(skin, stepper)
         seen = None if now is None else now.of.skins[skin].outside(now.results.hosts[f"sums_{skin}"][0].tolist())
-        return super()._outside(group, skin, stepper, at) if seen is None else [seen]
+        return super()._outside(skin, stepper, worlds, keys, loads) if seen is None else [seen]
 
     def _step(
-        self, group: StepTrace, skin: int, stepper: SkinStepper, worlds: Rows, times: tuple[float, float]
+        self, skin: int, stepper: SkinStepper, worlds: Rows, loads: SurfaceLoads, times: tuple[float, float]
     ) -> Float | Float32 | None:
         now = self._steps_here(skin, stepper)
         if now is None:
-            return super()._step(group, skin, stepper, worlds, times)
+            return super()._step(skin, stepper, worlds, loads, times)
         self._claim(skin, stepper, worlds)
         self.state.skins[skin][:, HEADER : HEADER + stepper.state_size] = now.results.hosts[f"after_{skin}"]
         return None
 
-    def _patterns(self, group: StepTrace, skin: int, stepper: SkinStepper, i: int) -> Float32:
-        if self.course is None or len(self.course[1].units) == 0:
-            return super()._patterns(group, skin, stepper, i)
+    def _patterns(self, world: int, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
+        if self.course is None or len(course.units) == 0:
+            return super()._patterns(world, skin, stepper, course)
         return self.load(skin, stepper.points)
 
     def load(self, skin: int, points: Int | None = None) -> Float32:

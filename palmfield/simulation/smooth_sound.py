@@ -221,9 +221,10 @@ class SmoothSound:
         rings = self._ringing[self.joined]
         worlds, levels = self.joined[rings], end[rings]
         self.now[worlds] = self._held[worlds] = levels
-        self._late[worlds] = True
-        if not self._alone:
-            self.fetch()
+        if self._alone:
+            self._late[worlds] = True
+        else:
+            self.state.set_emission(worlds, levels[:, None] * self._units[worlds])
 
     def fetch(self) -> None:
         """Write the pending emissions into the state. They may wait if no other code uses the state."""

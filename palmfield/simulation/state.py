@@ -127,10 +127,12 @@ def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinS
 
 
 def claim(model: HapticModel, state: HapticState, skin: int, stepper: SkinStepper) -> None:
-    """Write this stepper into the header of a skin as the owner of its numbers."""
-    header = state.skins[skin][0]
-    header[0] = BEGUN if model.begin[skin].value is stepper else WHOLE
-    header[1] = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
+    """Write this stepper into the header of a skin as the owner of its numbers. SceneError as `stepper_of`."""
+    header, kind = state.skins[skin][0], BEGUN if model.begin[skin].value is stepper else WHOLE
+    mark = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
+    if header[0] != kind or header[1] != mark:
+        stepper_of(model, state, skin)
+        header[0], header[1] = kind, mark
 
 
 def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:

@@ -6,7 +6,6 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from operator import methodcaller
 
 import numpy as np
 
@@ -59,6 +58,7 @@ class Steps:
     models, works: one for each world. state: of all worlds. host: steps the worlds that no other backend steps.
     forces: by body, mean force on its parts over the current step [N], and torques about their origins [N m], world
         axes, shape (worlds, 2, b, 3).
+    inputs: parts of the state from which `begin` computed the present step. If they change, the step is invalid.
     """
 
     def __init__(
@@ -69,6 +69,7 @@ class Steps:
         others, self.host = backends_of(models, works, state, alone)
         self.backends: tuple[Backend, ...] = (*others, self.host)
         self.forces: list[Float] = [np.zeros((len(models), 2, body.parts, 3)) for body in models[0].bodies]
+        self.inputs: list[Complex | Float] = []
         self._free: Bool = np.ones(len(models), dtype=bool)  # worlds that no backend has taken so far
 
     @property
@@ -133,6 +134,11 @@ class Steps:
         for number in graphs:
             self.ready(number)
         self.rest(frames, t0)
+        inputs: list[Complex | Float] = [*self.state.emitted]
+        for backend in self.backends:
+            for skin, size in backend.stepped:
+                inputs.append(self.state.skins[skin][:, : HEADER + size])
+        self.inputs = inputs
 
     def start(self, number: int, frames: Frames, t0: float) -> None:
         """Begin a step in one backend, by its number (not the host): the first part of `begin`, in ascending order.
@@ -192,11 +198,3 @@ class Steps:
         self.host.hold(posed, t0)
         with one_blas_thread:
             self.host.step_skins(t0, t0 + steps * self.models[0].spec.timestep_s, skins)
-
-    def state_now(self) -> bytes:
-        """Return the state from which this step was computed, as bytes. If they change, the step is invalid."""
-        parts: tuple[Complex | Float, ...] = self.state.emitted
-        for backend in self.backends:
-            for skin, size in backend.stepped:
-                parts = *parts, self.state.skins[skin][:, : HEADER + size]
-        return b"".join(map(methodcaller("tobytes"), parts))

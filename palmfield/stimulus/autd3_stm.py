@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.acoustics.arrays import layout
 from palmfield.errors import OutputError, SceneError, fault_of, naming
-from palmfield.given_files import read_json
+from palmfield.input_files import read_json
 from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.focus_table_file import focus_table
 from palmfield.types import Float

@@ -22,7 +22,7 @@ import numpy as np
 
 from palmfield.config.stimulus import too_far
 from palmfield.errors import SceneError, did_you_mean
-from palmfield.given_files import read_text, reading
+from palmfield.input_files import read_text, reading
 from palmfield.stimulus.focus_table import Between, FocusTable, Quantity, TableFrame
 from palmfield.tables import numbers_in
 from palmfield.types import Float

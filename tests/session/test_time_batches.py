@@ -12,7 +12,8 @@ from unestimated import UNESTIMATED
 
 import palmfield
 from palmfield.outputs.store import MemoryStore
-from palmfield.session import recorded_run
+from palmfield.planning.scene_plan import plan
+from palmfield.session import recorded_run, recorder
 from palmfield.session.recorder import Recorder
 
 pytestmark = pytest.mark.usefixtures("kept_operators")
@@ -35,14 +36,14 @@ def step_by_step(scene: Path, duration_s: float) -> Any:
     """The result of plain mj_step, written after each step."""
     sim = palmfield.Simulation(scene)
     store = MemoryStore(recorded_run.known_before(sim), recorded_run.result_attributes(sim))
-    recorder = recorded_run.recorder_of(sim, store)
-    recorder.start()
+    observer = recorded_run.recorder_of(sim, store)
+    observer.start()
     while sim.time < duration_s - 1e-9:
         mujoco.mj_step(sim.model, sim.data)
         palmfield.raise_errors(sim.data)
-        recorder.step()
-    recorder.stop()
-    store.append(recorder.surfaces())
+        observer.step()
+    observer.stop()
+    store.append(observer.surfaces())
     return store.finish({}, complete=True)
 
 
@@ -71,6 +72,7 @@ def test_a_recorded_run_has_the_numbers_of_single_steps(
         plain.write_text(
             text.replace('<body name="pad"', '<body name="pad" mocap="true"') if moves == "carried" else text
         )
+    monkeypatch.setattr(recorder, "WAITING_s", 100.0)
     blocks: list[int] = []
     write = Recorder._write
     monkeypatch.setattr(Recorder, "_write", lambda self: blocks.append(len(self._waiting)) or write(self))
@@ -82,3 +84,22 @@ def test_a_recorded_run_has_the_numbers_of_single_steps(
     assert max(blocks) == 1
     assert float(np.abs(expected["skin/skin"]["displacement"]).max()) > 0.0
     agree(result.dataset, expected)
+    why = " ".join(row.why for row in plan(scene).modelled)
+    assert ("one at a time: control_rate_Hz holds foci" if kind == "held" else "for many steps together") in why
+
+
+def test_steps_that_wait_are_written_after_a_while(
+    small_scene: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A killed process loses little, even if its steps take long."""
+    monkeypatch.setattr(recorder, "WAITING_s", -1.0)
+    sim = palmfield.Simulation(small_scene())
+    blocks: list[Any] = []
+    sink = type("Sink", (), {"append": lambda _, block: blocks.append(block)})()
+    observer = recorded_run.recorder_of(sim, sink, recorder.TOGETHER)
+    observer.start()
+    sim.step()
+    observer.step()
+    assert len(blocks) == 2
+    observer.stop()
+    assert len(blocks) == 2

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.io import loadmat, savemat
 
 from palmfield.errors import MeasurementError
-from palmfield.given_files import regular
+from palmfield.input_files import regular
 from palmfield.instruments.scan import Quantity, Scan
 from palmfield.whole_files import writing
 

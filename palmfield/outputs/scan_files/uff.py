@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from palmfield.errors import MeasurementError, OutputError, reason_of
-from palmfield.given_files import reading, regular
+from palmfield.input_files import reading, regular
 from palmfield.instruments.scan import UNITS, Quantity, Scan
 from palmfield.types import Float
 from palmfield.whole_files import writing

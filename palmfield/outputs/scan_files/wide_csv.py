@@ -20,7 +20,7 @@ from typing import cast
 import numpy as np
 
 from palmfield.errors import MeasurementError, did_you_mean, naming, refuse_unknown
-from palmfield.given_files import regular
+from palmfield.input_files import regular
 from palmfield.instruments.scan import QUANTITIES, UNITS, Quantity, Scan
 from palmfield.tables import UNREADABLE, numbers_in
 from palmfield.whole_files import writing

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 MOST_VECTORS = 400
 BLOCK = 256
 """Number of worlds that are stepped in one product."""
+LEAP = 16
+"""Largest number of substeps in one product: its matrices are made again for each new pressure."""
 MIXED = 64
 """Largest number of loads for the displacement of the residual: the error of their mean square is then 10 %."""
 
@@ -101,7 +103,7 @@ class ReducedStepper(SkinStepper):
         self._decoupled = self.model.decoupled(step_s)
         # Results for the last constant pressures
         self._fixed: tuple[Float | Float32, Float] | None = None
-        self._leaps: tuple[Float | Float32, int, Float, Float] | None = None
+        self._leaps: tuple[Float | Float32, dict[int, tuple[Float, Float]]] | None = None
         # Displacement and velocity in V are products of the first two blocks of a state: only these are not 0.
         blocks = slice(0, self.order), slice(self.order, 2 * self.order)
         self._moved, self._moves = self.model.displaces[:, blocks[0]], self.model.moves[:, blocks[1]]
@@ -139,11 +141,20 @@ class ReducedStepper(SkinStepper):
             return self._read(states.reshape(-1, self.state_size), observe).reshape(worlds, substeps, 2, -1)
 
     def _leap(self, state: Float, loads: SurfaceLoads) -> None:
-        """Compute all substeps at once, under constant pressures; the states in between are not needed."""
-        worlds, substeps, _ = loads.first.shape
+        """Compute up to LEAP substeps at once, under constant pressures; the states in between are not needed."""
+        for begin in range(0, loads.first.shape[1], LEAP):
+            own = slice(begin, begin + LEAP)
+            weights = np.stack([loads.first[:, own], loads.last[:, own]], axis=1)
+            self._leap_once(state, weights.reshape(len(state), 1, -1), *self._ways(loads, weights.shape[2]))
+
+    def _ways(self, loads: SurfaceLoads, substeps: int) -> tuple[Float, Float]:
+        """Return the change of the state by each weight of a number of substeps, shape (w, 2 s, n), and the matrix of
+        the state, (n, n)."""
         known = self._leaps
-        with one_blas_thread:
-            if known is None or known[0] is not loads.pressure_Pa or known[1] != substeps:
+        if known is None or known[0] is not loads.pressure_Pa:
+            self._leaps = known = loads.pressure_Pa, {}
+        if substeps not in known[1]:
+            with one_blas_thread:
                 forces = self._forces(loads)
                 pushes = np.stack([forces @ self.start, forces @ self.end], axis=1)
                 steps, power = [pushes], self.advance.T  # of one world if all have the same pressure
@@ -152,17 +163,20 @@ class ReducedStepper(SkinStepper):
                     power = power @ self.advance.T
                 # The first force passes through the most substeps, (w, start and end, s, k, n)
                 ways = np.stack(steps[::-1], axis=2).reshape(len(forces), -1, self.state_size)
-                self._leaps = known = loads.pressure_Pa, substeps, ways, power
-            weights = np.stack([loads.first, loads.last], axis=1).reshape(worlds, 1, -1)
-            _, _, ways, power = known
+                known[1][substeps] = ways, power
+        return known[1][substeps]
 
-            def leap(own: slice) -> None:
-                after = state[own] @ power
-                after += weights[own, 0] @ ways[0] if len(ways) == 1 else np.matmul(weights[own], ways[own])[:, 0]
-                state[own] = after
+    def _leap_once(self, state: Float, weights: Float, ways: Float, power: Float) -> None:
+        """Compute some substeps at once; weights: of the pressures at their starts and ends, shape (w, 1, 2 s)."""
 
-            # In blocks of one size, so that results do not depend on the number of cores
-            blocks = [slice(begin, begin + BLOCK) for begin in range(0, worlds, BLOCK)]
+        def leap(own: slice) -> None:
+            after = state[own] @ power
+            after += weights[own, 0] @ ways[0] if len(ways) == 1 else np.matmul(weights[own], ways[own])[:, 0]
+            state[own] = after
+
+        # In blocks of one size, so that results do not depend on the number of cores
+        blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(state), BLOCK)]
+        with one_blas_thread:
             share([(partial(leap, own),) for own in blocks], cores())
 
     def _march(self, state: Float, states: Float) -> None:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from filelock import FileLock, Timeout
 
 from palmfield.errors import OutputError, unwritable
-from palmfield.given_files import plain, read_bytes, reading
+from palmfield.input_files import plain, read_bytes, reading
 from palmfield.session.scene_text import read_scene_text
 from palmfield.studies.experiment.design import Design
 from palmfield.studies.experiment.procedures import Answered

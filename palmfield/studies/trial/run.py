@@ -19,7 +19,7 @@ from palmfield.drive.ports import check_port
 from palmfield.errors import DeviceError, OutputError
 from palmfield.hardware.log_head import log_head
 from palmfield.hardware.safety.scene_sound import warn_at_head
-from palmfield.interrupts import interrupts_held
+from palmfield.interrupts import interrupts_delayed
 from palmfield.motion.tracking import write_stream
 from palmfield.outputs.trial_picture import draw_trial
 from palmfield.session.preview import Preview, preview
@@ -255,7 +255,7 @@ def _course(
     moments = []
     show_stage("computing the sound at the hand", moments_s[-1] if moments_s else None)
     try:
-        with interrupts_held() as check:
+        with interrupts_delayed() as check:
             for time_s in moments_s:
                 if time_s > sent.end_s:
                     break

@@ -8,7 +8,7 @@ import numpy as np
 
 from palmfield.drive.board import Emitted
 from palmfield.drive.transducer_response import EmittedCourse, of_drives
-from palmfield.interrupts import interrupts_held
+from palmfield.interrupts import interrupts_delayed
 from palmfield.session.duration import step_count
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.emission import Emission, MeanDrives, of_moments
@@ -101,7 +101,7 @@ def skin_response(
     for lazy in sim.runtime.model.begin:
         _ = lazy.value
     try:
-        with interrupts_held() as check:
+        with interrupts_delayed() as check:
             for _ in range(step_count(duration_s, sim.model.opt.timestep)):
                 sim.step()
                 both = part.displacement[nodes], part.velocity[nodes]

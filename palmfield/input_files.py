@@ -1,6 +1,6 @@
-"""Files that a user names: regular ones of a limited size, and TOML and JSON of limited depth and limited numbers.
+"""Read files of users: regular files of limited size, and TOML and JSON of limited depth and limited numbers.
 
-A device, a pipe or a folder is refused before it is opened: /dev/zero has no end, a pipe may have no begin.
+Devices, pipes and folders are not opened: /dev/zero has no end, and reading a pipe may wait for ever.
 """
 
 import errno
@@ -15,17 +15,17 @@ from typing import Any
 from palmfield.errors import PalmfieldError, reason_of
 
 MOST_BYTES = 1 << 30
-"""Of a file of data: a 900,000-sample scan of 60 points has 0.5 GB as text."""
+"""Largest size of a data file: a scan of 60 points with 900,000 samples has 0.5 GB as text."""
 MOST_SETTINGS_BYTES = 1 << 24
-"""Of a file of settings, which becomes about 20 times as large in memory."""
+"""Largest size of a settings file, which takes about 20 times as much memory."""
 DEEPEST = 64
-"""Nested lists and tables in settings; no format of ours goes below 8."""
+"""Largest depth of nested lists and tables in settings; formats of palmfield use at most 8."""
 LARGEST = 1 << 63
-"""Whole numbers end here, as TOML 1.0 has it."""
+"""Limit of whole numbers, as in TOML 1.0."""
 
 
 class Unfit(OSError):
-    """A file that is there and is not read; as other OSErrors it has `strerror`."""
+    """A file exists but is not readable input; it has `strerror` as other OSErrors."""
 
     def __str__(self) -> str:
         return str(self.strerror)
@@ -33,9 +33,9 @@ class Unfit(OSError):
 
 @contextmanager
 def reading(what: object, error: type[PalmfieldError], wanted: str) -> Iterator[None]:
-    """What the system or a decoder says within the block, of a file that can't be read, becomes an `error`.
+    """Convert errors of the system or a decoder in the block, which reads a file, to `error`.
 
-    what: the file, or that with its option; wanted: what to give instead, such as "a CSV file in UTF-8"
+    what: the file, with its option if any; wanted: what to give instead, such as "a CSV file in UTF-8"
     """
     try:
         yield
@@ -44,11 +44,11 @@ def reading(what: object, error: type[PalmfieldError], wanted: str) -> Iterator[
 
 
 def regular(path: str | Path, most_bytes: int = MOST_BYTES) -> Path:
-    """The path, where it leads to a regular file of at most `most_bytes`. Raises OSError, which says what it is."""
+    """Return the path of a regular file of at most `most_bytes`. Raises OSError for other kinds of files."""
     file = Path(path)
     try:
         facts = file.stat()
-    except ValueError:  # a path that holds a zero byte
+    except ValueError:  # a path with a zero byte
         raise Unfit(errno.EINVAL, f"'{str(path)[:60]!r}' is not a path") from None
     if not stat.S_ISREG(facts.st_mode):
         kinds = {stat.S_IFDIR: "a folder", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFIFO: "a pipe"}
@@ -60,10 +60,10 @@ def regular(path: str | Path, most_bytes: int = MOST_BYTES) -> Path:
 
 
 def read_bytes(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
-    """The content of a regular file. Raises OSError as `regular`."""
+    """Return the content of a regular file. Raises OSError as `regular` does."""
     with regular(path, most_bytes).open("rb") as file:
         data = file.read(most_bytes + 1)
-    if len(data) > most_bytes:  # files of /proc say that they have 0 bytes
+    if len(data) > most_bytes:  # files of /proc have a stated size of 0
         raise Unfit(
             errno.EFBIG, f"it has more than {most_bytes / 1e6:.0f} MB; allowed: at most {most_bytes / 1e6:.0f} MB"
         )
@@ -71,25 +71,25 @@ def read_bytes(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: str | Path, encoding: str = "utf-8", most_bytes: int = MOST_BYTES) -> str:
-    """The text of a regular file, with \\n at the end of lines. Raises OSError as `regular`, UnicodeDecodeError."""
+    """Return the text of a regular file with line ends \\n. Raises OSError as `regular` does, UnicodeDecodeError."""
     return read_bytes(path, most_bytes).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """The tables of a TOML file. Raises OSError as `regular`, and ValueError for other text, and as `plain`."""
+    """Return the tables of a TOML file. Raises OSError as `regular` does, ValueError for other text and as `plain`."""
     return plain(tomllib.loads, read_text(path, most_bytes=MOST_SETTINGS_BYTES))
 
 
 def read_json(path: str | Path) -> Any:
-    """The content of a JSON file. Raises OSError as `regular`, and ValueError for other text, and as `plain`."""
+    """Return the content of a JSON file. Raises OSError as `regular` does, ValueError for other text and as `plain`."""
     return plain(json.loads, read_text(path, most_bytes=MOST_SETTINGS_BYTES))
 
 
 def plain(parse: Any, text: str | bytes) -> Any:
-    """What a parser makes of a text, once its depth and its whole numbers are checked.
+    """Return the result of a parser after a check of nesting depth and whole numbers.
 
-    Raises ValueError for what is nested deeper than `DEEPEST`, and whole numbers of more than 64 bits, which overflow
-    wherever they become floats or indices.
+    Raises ValueError for nesting deeper than `DEEPEST` and for whole numbers of more than 64 bits, which would overflow
+    when they become floats or indices.
     """
     try:
         value = parse(text)
