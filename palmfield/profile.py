@@ -155,6 +155,7 @@ class Profile:
         arrays = [
             (kind, f"{one.most_bytes / mebi:.1f}", f"{one.now_bytes / mebi:.1f}", f"{one.count}")
             for kind, one in self.held.items()
+            if one.most_bytes >= LEAST_BYTES
         ]
         heads = ("phase", "CPU [s]", "wall [s]", "beside others [s]", "calls", "peak RSS [MiB]")
         tables = [table(rows, heads), table(arrays, ("arrays", "at most [MiB]", "now [MiB]", "made"))]

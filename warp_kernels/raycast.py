@@ -59,10 +59,10 @@ def render(
     height: int,
     supersampling: int,
     rays: int,
-    first: int,
+    pixels: wp.array[wp.int32],
     image: wp.array[wp.vec3],
 ):
-    """One linear RGB pixel a thread, from pixel `first` on.
+    """One linear RGB pixel a thread, of those whose numbers are in `pixels`, row by row.
 
     mesh: all objects; solid: those that cast shadows
     faces: vertex of each corner, shape (3 m,); normals: unit, by vertex; albedo: linear RGB, by vertex
@@ -72,7 +72,7 @@ def render(
     key, fill: unit directions towards the lights; sky: unit direction of the brighter half of the ambient light
     reach: length of the ambient rays [m]; image: linear RGB, shape (height * width,)
     """
-    pixel = first + wp.tid()
+    pixel = pixels[wp.tid()]
     row = pixel // width
     column = pixel - row * width
     total = wp.vec3(0.0, 0.0, 0.0)

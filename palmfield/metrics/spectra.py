@@ -4,8 +4,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import find_peaks
-from scipy.signal.windows import hann
 
 from palmfield.errors import MeasurementError
 from palmfield.metrics.checks import above_zero, even_step, trace, whole
@@ -36,7 +34,9 @@ def amplitude_spectrum(time_s: ArrayLike, signal: ArrayLike, *, taper: Taper = "
     step = even_step(times)
     if taper not in ("hann", "none"):
         raise MeasurementError(f"taper is '{taper}'; use hann or none")
-    window = hann(len(values), sym=False) if taper == "hann" else np.ones(len(values))
+    # scipy.signal would take half a second to load
+    turn = np.linspace(-np.pi, np.pi, len(values) + 1)[:-1]
+    window = 0.5 + 0.5 * np.cos(turn) if taper == "hann" else np.ones(len(values))
     centred = values - np.average(values, weights=window)
     amplitude = 2.0 * np.abs(np.fft.rfft(centred * window)) / window.sum()
     if len(values) % 2 == 0:
@@ -119,7 +119,7 @@ def spectral_peaks(frequency_Hz: Float, amplitude: Float, most: int = 4) -> list
     if top <= 0.0:
         return []
     level = 20.0 * np.log10(np.maximum(amplitude, 1e-12 * top) / top)
-    numbers, _ = find_peaks(level, height=-FLOOR_DB, prominence=PROMINENCE_DB)
+    numbers = [k for k in _maxima(level) if level[k] >= -FLOOR_DB and _prominence(level, k) >= PROMINENCE_DB]
     spacing = frequency_Hz[1] - frequency_Hz[0]
     peaks = []
     for k in sorted(numbers, key=lambda k: -amplitude[k])[:most]:
@@ -129,3 +129,21 @@ def spectral_peaks(frequency_Hz: Float, amplitude: Float, most: int = 4) -> list
         height = amplitude[k] * (1.0 - shift**2) / np.sinc(shift)
         peaks.append((float(frequency_Hz[k] + side * shift * spacing), float(height)))
     return peaks
+
+
+def _maxima(level: Float) -> list[int]:
+    """Return the places of local maxima; the middle of equal values."""
+    ends = np.append(np.flatnonzero(np.diff(level)), len(level) - 1)
+    starts = np.append(0, ends[:-1] + 1)
+    heights = level[starts]
+    higher = np.flatnonzero((heights[1:-1] > heights[:-2]) & (heights[1:-1] > heights[2:])) + 1
+    return ((starts[higher] + ends[higher]) // 2).tolist()
+
+
+def _prominence(level: Float, peak: int) -> float:
+    """Return the height of a peak above the higher one of the lowest levels between it and a higher level or an end."""
+    lowest = []
+    for side in (level[peak::-1], level[peak:]):
+        above = np.flatnonzero(side > level[peak])
+        lowest.append(side[: above[0] if len(above) else None].min())
+    return float(level[peak] - max(lowest))

@@ -7,6 +7,7 @@ keeps data that it cannot write, so that HDF5 gets no error and this module can 
 import io
 import json
 import os
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +23,9 @@ from palmfield.types import json_value
 
 CHUNK_BYTES = 1_000_000
 """Size of a compressed chunk. It fits the HDF5 cache of 1 MiB for each variable, so it is filled before compression."""
+SAMPLE, WORTHWHILE = 32_768, 0.67
+"""Values that are compressed on trial, and the share of their size below which a variable is compressed. Fields and
+motion keep about 0.8: their last digits are noise, which takes seconds to pack and to read."""
 COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 UNREADABLE = (OSError, ValueError, KeyError, RuntimeError, TypeError)
 
@@ -110,7 +114,8 @@ class ResultWriter:
     def __init__(self, file: h5netcdf.File, lengths: dict[str, int], *, packed: bool) -> None:
         """lengths: number of records along each record dimension
 
-        packed: whether records are compressed and groups contain the coordinates of the root, as in a result
+        packed: whether records are compressed where it helps and groups contain the coordinates of the root, as in a
+            result
         """
         self._file, self._lengths, self._packed = file, lengths, packed
         for dim, length in lengths.items():
@@ -142,7 +147,7 @@ class ResultWriter:
             group = self._group(path)
             for name, array in variables.items():
                 made = group.variables.get(name)
-                made = self._create(group, name, schema[name], array.shape) if made is None else made
+                made = self._create(group, name, schema[name], array) if made is None else made
                 self._fill(made, record_of(schema[name]), array, start)
             if self._packed and path != "/":
                 self._put_times(group, {record_of(schema[name]) for name in variables}, arrays.get("/", {}), start)
@@ -154,7 +159,7 @@ class ResultWriter:
         for dim in RECORDS:
             if dim in dims and dim in times:
                 made = group.variables.get(dim)
-                made = self._create(group, dim, ROOT[dim], times[dim].shape) if made is None else made
+                made = self._create(group, dim, ROOT[dim], times[dim]) if made is None else made
                 self._fill(made, dim, times[dim], start)
 
     def _fill(self, made: Any, dim: str | None, array: NDArray[Any], start: dict[str, int]) -> None:
@@ -169,9 +174,10 @@ class ResultWriter:
             return self._file
         return self._file[path] if path in self._file else self._file.create_group(path)
 
-    def _create(self, group: Any, name: str, variable: Variable, shape: tuple[int, ...]) -> Any:
+    def _create(self, group: Any, name: str, variable: Variable, array: NDArray[Any]) -> Any:
+        """array: the first part of the variable"""
         dim = record_of(variable)
-        shape = shape if dim is None else (self._lengths[dim], *shape[1:])
+        shape = array.shape if dim is None else (self._lengths[dim], *array.shape[1:])
         for own, length in zip(variable.dims, shape, strict=True):
             if own in group.dimensions or (not self._packed and (own in RECORDS or own in LABELS)):
                 continue
@@ -183,7 +189,7 @@ class ResultWriter:
         dtype: Any = np.dtype("int8") if variable.dtype == "bool" else variable.dtype
         if dtype == "str":
             dtype = h5py.string_dtype()
-        elif dim is not None and self._packed and variable.dtype == "float32":
+        elif dim is not None and self._packed and variable.dtype == "float32" and _shrinks(array):
             row = 4 * int(np.prod(shape[1:]))
             extra = COMPRESSION | {"chunks": (min(shape[0], max(1, CHUNK_BYTES // row)), *shape[1:])}
         made = group.create_variable(name, variable.dims, dtype, **extra)
@@ -302,6 +308,12 @@ def _groups(file: Any, path: str) -> Iterator[tuple[str, Any]]:
     for name, member in file.items():
         if isinstance(member, h5py.Group):
             yield from _groups(member, f"{path.rstrip('/')}/{name}")
+
+
+def _shrinks(values: NDArray[np.float32]) -> bool:
+    """Whether compression, as of COMPRESSION, is worthwhile, by the last values."""
+    shuffled = values.ravel()[-SAMPLE:].view(np.uint8).reshape(-1, 4).T.tobytes()
+    return len(zlib.compress(shuffled, 1)) < WORTHWHILE * len(shuffled)
 
 
 def _without_values(dataset: Any) -> bool:

@@ -91,7 +91,7 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
         raise OutputError(f"cannot write {path}: '{kind}' is not a picture format; allowed: {', '.join(FORMATS)}")
     with writing(path), whole(path) as part:
         if kind == "png":
-            FigureCanvasAgg(figure).print_png(str(part), pil_kwargs={"dpi": (dpi, dpi)})
+            FigureCanvasAgg(figure).print_png(str(part), pil_kwargs={"dpi": (dpi, dpi), "compress_level": 3})
         else:
             FigureCanvasAgg(figure)
             with mpl.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42}):

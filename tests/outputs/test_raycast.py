@@ -54,7 +54,7 @@ def _image(shape, eye, size, level=-1.0, key=(0.0, 0.0, 1.0)):
             size,
             1,
             4,
-            0,
+            wp.array(np.arange(size * size), dtype=wp.int32, device=DEVICE),
         ],
         outputs=[image],
         device=DEVICE,

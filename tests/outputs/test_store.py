@@ -640,3 +640,19 @@ def test_json(tmp_path):
     with pytest.raises(OutputError, match="Not a directory"):
         write_json(path / "x.json", {})
     assert json.loads(path.read_text())["c"] is None
+
+
+@pytest.mark.parametrize(("noise", "packed"), [(0.0, "gzip"), (1.0, None)])
+def test_a_variable_is_packed_where_that_saves_a_third(tmp_path, static_arrays, block_arrays, noise, packed):
+    store, blocks = Store(tmp_path, static_arrays), [block_arrays(0, 4), block_arrays(4, 4)]
+    random = np.random.default_rng(0)
+    written = []
+    for block in blocks:
+        arp = noise * random.normal(size=block["/skin/palm"]["arp"].shape).astype(np.float32)
+        written.append(arp)
+        store.append(block | {"/skin/palm": block["/skin/palm"] | {"arp": arp}})
+    path = store.finish({}, complete=True)
+    with h5py.File(path) as file:
+        stored = file["skin/palm/arp"]
+        assert stored.compression == packed
+        np.testing.assert_array_equal(stored[...], np.concatenate(written))

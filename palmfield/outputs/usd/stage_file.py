@@ -10,7 +10,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdUtils
 from palmfield.errors import OutputError, reason_of
 
 SUFFIXES = (".usdc", ".usda", ".usdz")
-SAVE_EVERY = 50
+SAVE_EVERY = 200
 """Number of frames after which the file is saved."""
 
 

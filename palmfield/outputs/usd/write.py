@@ -71,7 +71,7 @@ def write_usd(
     result: of `open_result` or `tree`; shown: contents, see `Shown`; fps: frames per second for players, independent of
         the time step of the run [1/s]; on_frame: called with the numbers of completed and of all time codes
     Metres, kilograms, z up. Time code / timeCodesPerSecond is the time of the run in seconds. docs/usd.md lists
-    prims and primvars. Every 50 frames the scene is saved and copied to NAME.partial.usdc, which remains after a
+    prims and primvars. Every 200 frames the scene is saved and copied to NAME.partial.usdc, which remains after a
     kill, and is removed when the scene is complete.
     Raises OutputError if `path` cannot be written or has an unknown suffix, for invalid numbers, and for a colour or a
     field that the result does not contain.
