@@ -10,6 +10,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import mujoco
@@ -83,10 +84,26 @@ class Module:
         """Adopt `other`, the module of another mjData whose state mj_copyData has copied into this one."""
 
 
+ADVANCES = -1
+"""Stands for the end of a step among the capabilities of MuJoCo's plugins."""
 _worlds: dict[int, World] = {}
 _lock = threading.RLock()
 _thunks: list[Any] = []
-_compiling = threading.local()
+
+
+class _Compiling(threading.local):
+    """The model that this thread compiles. active: whether modules are switched off; error: of a module's construction.
+
+    sized: model and instance whose sizes MuJoCo requested last; sizing: model and first error of such a request
+    """
+
+    active = False
+    error: Exception | KeyboardInterrupt | None = None
+    sized = (0, -1)
+    sizing: tuple[int, Exception | KeyboardInterrupt] | None = None
+
+
+_compiling = _Compiling()
 
 
 def world_of(data: mujoco.MjData) -> World | None:
@@ -117,14 +134,13 @@ def compiling() -> Iterator[None]:
 
 def take_compile_error() -> Exception | KeyboardInterrupt | None:
     """Return a module's construction error since the last call in this thread; MuJoCo's own error only quotes it."""
-    error, _compiling.error = getattr(_compiling, "error", None), None
-    _compiling.sizing = None
+    error, _compiling.error, _compiling.sizing = _compiling.error, None, None
     return error
 
 
 def _fail(world: World | None, module: str, error: Exception | KeyboardInterrupt) -> None:
     """Store the first error for `raise_errors`, show it through MuJoCo, and set results to NaN."""
-    silent = getattr(_compiling, "active", False) if world is None else world.quiet or world.error is not None
+    silent = _compiling.active if world is None else world.quiet or world.error is not None
     if not silent:
         known = isinstance(error, PalmfieldError | KeyboardInterrupt)
         text = str(error) if known else "".join(traceback.format_exception(error))
@@ -159,30 +175,25 @@ def register(module: type[Module]) -> None:
     if lib.mjp_getPlugin(module.name.encode(), None):
         return
 
+    def size(of: Callable[..., int], otherwise: int, model: int, instance: int, *sensor: int) -> int:
+        try:
+            view = ModelView(model, complete=False)
+            return of(settings_of(module, view, instance), view, *sensor)
+        except (KeyboardInterrupt, Exception) as error:
+            _compiling.sizing = _compiling.sizing or (model, error)
+            return otherwise  # init reports it
+
     def nstate(model: int, instance: int) -> int:
         # MuJoCo requests the instances in order: an earlier instance, or another model, means a new compilation.
-        last_model, last_instance = getattr(_compiling, "sized", (0, -1))
+        last_model, last_instance = _compiling.sized
         if model != last_model or instance <= last_instance:
             _compiling.sizing = None
         _compiling.sized = model, instance
-        try:
-            view = ModelView(model, complete=False)
-            return module.state_size(settings_of(module, view, instance), view)
-        except (KeyboardInterrupt, Exception) as error:
-            _compiling.sizing = getattr(_compiling, "sizing", None) or (model, error)
-            return 0  # init reports it
-
-    def nsensordata(model: int, instance: int, sensor: int) -> int:
-        try:
-            view = ModelView(model, complete=False)
-            return module.sensor_size(settings_of(module, view, instance), view, sensor)
-        except (KeyboardInterrupt, Exception) as error:
-            _compiling.sizing = getattr(_compiling, "sizing", None) or (model, error)
-            return 1  # as above
+        return size(module.state_size, 0, model, instance)
 
     def init(model: int, data: int, instance: int) -> int:
         try:
-            sizing, _compiling.sizing = getattr(_compiling, "sizing", None), None
+            sizing, _compiling.sizing = _compiling.sizing, None
             if sizing is not None and sizing[0] == model:
                 raise sizing[1]
             with _lock:
@@ -225,8 +236,8 @@ def register(module: type[Module]) -> None:
 
     sensing = int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_SENSOR)
 
-    def compute(model: int, data: int, instance: int, capability: int) -> None:
-        if getattr(_compiling, "active", False):
+    def compute(model: int, data: int, instance: int, capability: int = ADVANCES) -> None:
+        if _compiling.active:
             return
         world = _worlds[data]
         try:
@@ -234,20 +245,7 @@ def register(module: type[Module]) -> None:
             if capability == sensing:
                 target.sense()
             elif not target.only_senses:
-                target.forces()
-        except KeyboardInterrupt:
-            _cut_off(world, module.name)
-        except Exception as error:
-            _fail(world, module.name, explained(error))
-
-    def advance(model: int, data: int, instance: int) -> None:
-        if getattr(_compiling, "active", False):
-            return
-        world = _worlds[data]
-        try:
-            target = world.modules[instance]
-            if not target.only_senses:
-                target.advance()
+                (target.advance if capability == ADVANCES else target.forces)()
         except KeyboardInterrupt:
             _cut_off(world, module.name)
         except Exception as error:
@@ -255,7 +253,7 @@ def register(module: type[Module]) -> None:
 
     def visualize(model: int, data: int, options: int, scene: int, instance: int) -> None:
         world = _worlds.get(data)
-        if world is None or getattr(_compiling, "active", False):
+        if world is None or _compiling.active:
             return
         try:
             from palmfield.mujoco_host.drawing import Drawing  # viewers only
@@ -283,13 +281,13 @@ def register(module: type[Module]) -> None:
     plugin.needstage = int(mujoco.mjtStage.mjSTAGE_ACC)
     prototypes: dict[str, tuple[Callable[..., Any], Any]] = {
         "nstate": (nstate, ctypes.CFUNCTYPE(integer, void, integer)),
-        "nsensordata": (nsensordata, ctypes.CFUNCTYPE(integer, void, integer, integer)),
+        "nsensordata": (partial(size, module.sensor_size, 1), ctypes.CFUNCTYPE(integer, void, integer, integer)),
         "init": (init, ctypes.CFUNCTYPE(integer, void, void, integer)),
         "destroy": (destroy, ctypes.CFUNCTYPE(None, void, integer)),
         "copy": (copy, ctypes.CFUNCTYPE(None, void, void, void, integer)),
         "reset": (reset, ctypes.CFUNCTYPE(None, void, void, void, integer)),
         "compute": (compute, ctypes.CFUNCTYPE(None, void, void, integer, integer)),
-        "advance": (advance, ctypes.CFUNCTYPE(None, void, void, integer)),
+        "advance": (compute, ctypes.CFUNCTYPE(None, void, void, integer)),
         "visualize": (visualize, ctypes.CFUNCTYPE(None, void, void, void, void, integer)),
     }
     if module.advance is Module.advance:

@@ -117,7 +117,7 @@ class SceneRuntime:
 
     def reading(self, positions: Float, matrices: Float) -> list[Callable[[], object]]:
         """Return calls that copy the present world frames into arrays of shapes (frames, 3) and (frames, 9)."""
-        calls = []
+        calls: list[Callable[[], object]] = []
         for kind, chosen, rows in self.taken:
             for values, result in zip(self.view.frames[kind], (positions, matrices), strict=True):
                 # Mode "clip", because other modes use a buffer

@@ -7,14 +7,13 @@ Fast changes are averaged as by a camera with an exposure of EXPOSURE_s.
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
-from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.engine.host import World
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.hand.subdivide import split_long_edges
 from palmfield.simulation.emission import Emission
+from palmfield.simulation.kept import Kept
 from palmfield.simulation.posed_scene import PosedScene, posed_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import factors_at
@@ -69,13 +68,6 @@ class _Moment(NamedTuple):
     units: list[tuple[Complex, float]]
 
 
-class _ColouredMesh(NamedTuple):
-    """Skin surface with small triangles. carry: operator from skin nodes to its vertices; faces: shape (f, 3)"""
-
-    carry: sparse.csr_array
-    faces: Int
-
-
 class SceneView:
     """The picture of one mjData."""
 
@@ -86,9 +78,8 @@ class SceneView:
         self._positions, self._matrices = np.zeros((runtime.frames, 3)), np.zeros((runtime.frames, 9))
         self._reading = runtime.reading(self._positions, self._matrices)
         self._last: tuple[tuple[float, bytes, bytes], _Moment] | None = None
-        self._meshes: dict[int, _ColouredMesh] = {}
-        self._evaluators: dict[tuple[int, int], tuple[PhasedArray, SurfaceArp]] = {}
-        self._seen: dict[int, tuple[PosedScene, bytes, SeenSkin]] = {}
+        self._kept = Kept()
+        self._seen: dict[int, tuple[int, bytes, SeenSkin]] = {}
         self._top = 0.0
 
     def transducers(self, array: int) -> SeenTransducers:
@@ -113,22 +104,23 @@ class SceneView:
         posed, _, _, units = self._now()
         key = b"".join(unit.tobytes() + np.float64(weight).tobytes() for unit, weight in units)
         known = self._seen.get(number)
-        if known is not None and known[0] is posed and known[1] == key:
+        if known is not None and known[:2] == (posed.serial, key):
             return known[2]._replace(top=self._top)
-        mesh = self._mesh(number)
+        part = self.model.skins[number]
+        carry, faces = self._kept.of(("mesh", number), (), split_long_edges, part.nodes[0], part.faces, EDGE_m)
         nodes, directions = posed.skins[number].nodes
-        points, normals = mesh.carry @ nodes, mesh.carry @ directions
+        points, normals = carry @ nodes, carry @ directions
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         if len(units) <= FEW:
             arp = self._arp(posed, number, points, normals, units)
         else:
             coarse = self._arp(posed, number, nodes, directions, units)
-            arp = None if coarse is None else mesh.carry @ coarse
+            arp = None if coarse is None else carry @ coarse
         if arp is None:
             return None
         self._top = max(self._top, float(arp.max()))
-        seen = SeenSkin(*posed.array_frame.surface(points, normals), mesh.faces, arp, self._top)
-        self._seen[number] = posed, key, seen
+        seen = SeenSkin(*posed.array_frame.surface(points, normals), faces, arp, self._top)
+        self._seen[number] = posed.serial, key, seen
         return seen
 
     def _arp(
@@ -142,7 +134,9 @@ class SceneView:
             weights = np.array([weight for _, weight in units])
             if kind == "none":
                 drives = np.array([unit for unit, _ in units])
-                sounds = self._evaluator(posed, skin, len(points)).evaluate_many(points, normals, drives)
+                given = posed.arrays.field, len(points), self.model.skins[skin].spec.arp_law
+                field = self._kept.of(("field", skin, len(points)), posed.arrays.serial, SurfaceArp, *given)
+                sounds = field.evaluate_many(points, normals, drives)
             else:
                 many = [self._radiation.at(posed, skin, "vertices", points, normals, unit).arp for unit, _ in units]
                 sounds = np.array(many)
@@ -155,21 +149,6 @@ class SceneView:
             return None
         own = posed.skins[skin].body.frame.inverse_points(points)
         return np.asarray(units[0][1] * level * solution.at(own).arp, dtype=np.float64)
-
-    def _evaluator(self, posed: PosedScene, skin: int, count: int) -> SurfaceArp:
-        """Return the free-field evaluator for this number of points, stored for one relative pose of the arrays."""
-        known = self._evaluators.get((skin, count))
-        if known is None or known[0] is not posed.arrays:
-            law = self.model.skins[skin].spec.arp_law
-            known = self._evaluators[skin, count] = posed.arrays, SurfaceArp(posed.arrays.field, count, law)
-        return known[1]
-
-    def _mesh(self, skin: int) -> _ColouredMesh:
-        mesh = self._meshes.get(skin)
-        if mesh is None:
-            part = self.model.skins[skin]
-            mesh = self._meshes[skin] = _ColouredMesh(*split_long_edges(part.nodes[0], part.faces, EDGE_m))
-        return mesh
 
     def _now(self) -> _Moment:
         """Compute the exposure that begins at the time of MuJoCo."""

@@ -40,7 +40,7 @@ def change_stimuli(sim: Simulation, texts: Mapping[str, Mapping[str, str]]) -> b
         steppers.append(None if at_rest(state, number) else stepper_of(old, state, number)[0])
     if not _meshed_for(old, other):
         return False
-    model = replace(old, spec=made, stimuli=other.stimuli, response_on=other.response_on, board=other.board, marks={})
+    model = replace(old, spec=made, stimuli=other.stimuli, board=other.board, marks={})
     runtime.exchange(model)
     for number, stepper in enumerate(steppers):
         if stepper is not None:

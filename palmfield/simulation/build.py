@@ -16,7 +16,6 @@ from palmfield.config.base import naming_keys
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS, board_of
-from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse, transducer_response
 from palmfield.errors import SceneError, naming
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
@@ -106,12 +105,12 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     else:
         bodies = tuple(_body(next(skin.config for skin in spec.skins if skin.config.body == name)) for name in names)
     carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
-    stimuli, pole, response_on = stimuli_of(spec, arrays, board, carriers)
+    stimuli = stimuli_of(spec, arrays, board, carriers)
     known = None if alike is None else [skin.layer for skin in alike.skins]
-    skins = _skins(spec, stimuli, arrays, board, bodies, names, pole, response_on, known)
+    skins = _skins(spec, stimuli, arrays, board, bodies, names, known)
     check_overlaps(skins)
     whole = tuple(whole_of(skin.layer) for skin in skins)
-    model = HapticModel(spec, arrays, board, stimuli, bodies, skins, pole, response_on, (), whole)
+    model = HapticModel(spec, arrays, board, stimuli, bodies, skins, (), whole)
     return replace(model, begin=tuple(Lazy(partial(first_stepper, model, number)) for number in range(len(skins))))
 
 
@@ -211,8 +210,8 @@ def stimuli_of(
     board: Board,
     carriers: Sequence[BodyModel],
     known: Responses | None = None,
-) -> tuple[tuple[StimulusModel, ...], Pole, bool]:
-    """Return the stimuli, the common pole of all transducers, and whether their ring-up is modelled.
+) -> tuple[StimulusModel, ...]:
+    """Return the stimuli. Ring-up is modelled for all transducers of a scene or for none: they share one state.
 
     carriers: the body of each skin; known: responses of other worlds of the scene; new ones are added
     """
@@ -224,13 +223,11 @@ def stimuli_of(
         carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
         own = {} if known is None else known
         stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, own, spread=not scattering))
-    pole = stimuli[0].response.pole
-    response_on = any(stimulus.response.on for stimulus in stimuli)
-    # Ring-up is modelled for all transducers of a scene or for none: they share one state.
-    stimuli = [replace(stimulus, response=replace(stimulus.response, on=response_on)) for stimulus in stimuli]
+    rings = any(stimulus.response.on for stimulus in stimuli)
+    stimuli = [replace(stimulus, response=replace(stimulus.response, on=rings)) for stimulus in stimuli]
     for skin in spec.skins:
-        check_body_sound(skin, spec.stimuli, pole, response_on)
-    return tuple(stimuli), pole, response_on
+        check_body_sound(skin, stimuli)
+    return tuple(stimuli)
 
 
 def _stimulus(
@@ -322,8 +319,6 @@ def _skins(
     board: Board,
     bodies: tuple[BodyModel, ...],
     names: list[str],
-    pole: Pole,
-    response_on: bool,
     layers: list[SceneLayer] | None,
 ) -> tuple[SkinModel, ...]:
     """Return the skins with their layers; layers that are not stored are made here."""
@@ -333,7 +328,7 @@ def _skins(
     skins = []
     for skin, layer in zip(spec.skins, layers, strict=True):
         number = names.index(skin.config.body)
-        choice = choose_stepper(spec, skin, layer, stimuli, pole, response_on)
+        choice = choose_stepper(spec, skin, layer, stimuli)
         still_m = STILL * skin.config.accuracy * layer.demand.spot_fwhm_m
         skins.append(SkinModel(skin, number, bodies[number], layer, choice, still_m))
     return tuple(skins)

@@ -25,9 +25,6 @@ from palmfield.simulation.spec import SceneSpec
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.skin.stepper import SkinStepper
 
-Stimuli = tuple[tuple[StimulusModel, ...], bool]
-"""Stimuli of a world, and whether the ring-up of its transducers is modelled."""
-
 
 @dataclass(frozen=True)
 class Shared:
@@ -55,18 +52,17 @@ def build_worlds(
     """
     first = model_of(scene or specs[0])
     carriers = [first.bodies[skin.body] for skin in first.skins]
-    stimuli: dict[SceneSpec, Stimuli] = {first.spec: (first.stimuli, first.response_on)} if scene is None else {}
+    stimuli = {first.spec: first.stimuli} if scene is None else {}
     responses: Responses = {}
     for spec in specs:
         if spec not in stimuli:
-            made, _, response_on = stimuli_of(spec, first.arrays, first.board, carriers, responses)
-            stimuli[spec] = made, response_on
-    loads = {spec: load_key(made, first.board.exact) for spec, (made, _) in stimuli.items()}
+            stimuli[spec] = stimuli_of(spec, first.arrays, first.board, carriers, responses)
+    loads = {spec: load_key(made, first.board.exact) for spec, made in stimuli.items()}
     sounding = {spec: parts for spec, parts in stimuli.items() if loads[spec] is not None}
     own = [skin.layer.demand for skin in first.skins]
     if shared is None:
         demands: dict[object, list[LayerDemand]] = {}
-        for spec, (made, _) in (sounding or stimuli).items():
+        for spec, made in (sounding or stimuli).items():
             if loads[spec] not in demands:
                 demands[loads[spec]] = demands_of(spec, made, first.arrays, first.board, carriers)
         asked = [strictest(of_skin) for of_skin in zip(*demands.values(), strict=True)]
@@ -87,8 +83,7 @@ def build_worlds(
     # Worlds with sound come first: a silent world can use any of their steppers
     fallback = next((load for load in loads.values() if load is not None), None)
     for spec in sorted(stimuli, key=lambda spec: loads[spec] is None):
-        made, response_on = stimuli[spec]
-        model = replace(first, spec=spec, stimuli=made, response_on=response_on, skins=skins, whole=whole)
+        model = replace(first, spec=spec, stimuli=stimuli[spec], skins=skins, whole=whole)
         begin = []
         for number, skin in enumerate(skins):
             # A reduced model is made for its load; any other stepper of a skin can take all loads
@@ -101,7 +96,11 @@ def build_worlds(
 
 
 def _skins(
-    first: HapticModel, layers: Sequence[SceneLayer], sounding: Mapping[SceneSpec, Stimuli], loads: int, modal: bool
+    first: HapticModel,
+    layers: Sequence[SceneLayer],
+    sounding: Mapping[SceneSpec, tuple[StimulusModel, ...]],
+    loads: int,
+    modal: bool,
 ) -> tuple[SkinModel, ...]:
     """Return the skins that all worlds share; sounding: stimuli of worlds with sound; loads: number of different loads.
 
@@ -113,10 +112,7 @@ def _skins(
             choice = known.choice._replace(name="modal", why="there are many different loads")
             settles = not known.choice.solver.any_pose
         else:
-            choices = [
-                choose_stepper(spec, known.spec, layer, made, first.pole, response_on)
-                for spec, (made, response_on) in sounding.items()
-            ]
+            choices = [choose_stepper(spec, known.spec, layer, made) for spec, made in sounding.items()]
             choice = common_choice(first.spec, known.spec, layer, choices, loads) if choices else known.choice
             # As for each world simulated alone with a predicted load: in a still pose its field is stored
             settles = not (choice.solver.factorises or any(own.solver.any_pose for own in choices))

@@ -63,22 +63,14 @@ class GraphSizes(NamedTuple):
     """Largest sizes that fit in memory. drives, sums: numbers for each of PURPOSES; foci: number of foci of a path,
     including the first; 0 if drives are the input"""
 
-    drives: tuple[int, int, int]
-    sums: tuple[int, int, int]
+    drives: tuple[int, ...]
+    sums: tuple[int, ...]
     foci: int
-
-    def holds(self, other: "GraphSizes") -> bool:
-        """Whether these sizes are at least those of another."""
-        pairs = zip((*self.drives, *self.sums, self.foci), (*other.drives, *other.sums, other.foci), strict=True)
-        return all(mine >= its for mine, its in pairs)
 
     def joined(self, other: "GraphSizes") -> "GraphSizes":
         """Return the larger of each pair of sizes."""
-        drives, sums = (
-            (max(a, x), max(b, y), max(c, z))
-            for (a, b, c), (x, y, z) in ((self.drives, other.drives), (self.sums, other.sums))
-        )
-        return GraphSizes(drives, sums, max(self.foci, other.foci))
+        drives, sums = map(max, self.drives, other.drives), map(max, self.sums, other.sums)
+        return GraphSizes(tuple(drives), tuple(sums), max(self.foci, other.foci))
 
 
 class GraphOf(NamedTuple):
@@ -119,7 +111,8 @@ class GraphWork:
         frames = layout.obstacles[-1].stop
         parts, results = self._shapes(transducers.count, frames)
         inside = self._inside()
-        points = ScenePoints(model, reference, self._motions, of.probes, device, worlds, self._steppers(), of.free)
+        steppers = {number: one.stepper for number, one in of.skins.items()} if of.free else {}
+        points = ScenePoints(model, reference, self._motions, of.probes, device, worlds, steppers, of.free)
         tables = sum(map(nbytes, (parts | results).values()))
         with naming_keys("plugin 'palmfield.skin'"):
             needed = worlds * points.nbytes(sizes.sums[0], sizes.sums[1]) + tables
@@ -140,10 +133,12 @@ class GraphWork:
         self._sound[FORCE] += self._pushing(reference, points, pressed, transducers)
         self._focus: Launches = []
         if of.drives is not None:
+            parts_of_path = (arrays[f"path_{name}"] for name in PATH)
+            memory = PathMemory(*parts_of_path, *(arrays[f"{name}_drives"] for name in PURPOSES))
             here = [arrays["places"], arrays["axes"], layout.frames.start, arrays["own_foci"], arrays["path_foci"]]
             self._focus = [
                 launch(kernels.place_foci, (worlds, sizes.foci), here, device),
-                *of.drives.calls(self._path_memory()),
+                *of.drives.calls(memory),
                 launch(kernels.largest, worlds, [arrays["path_end"], arrays["most"]], device),
             ]
             arrays["path_aims"].assign(np.tile(of.drives.aim, (worlds, 1)))
@@ -213,10 +208,6 @@ class GraphWork:
             names += [f"{name}_{number}" for number in of.skins for name in ("before", "after")]
         return names
 
-    def _steppers(self) -> dict[int, Any]:
-        """Return the steppers of the skins that have only the points of their steppers."""
-        return {number: one.stepper for number, one in self.of.skins.items()} if self.of.free else {}
-
     def _placing(self, layout: PoseLayout, motions: int) -> Launches:
         """Return launches that compute motions from frames."""
         arrays, device, worlds, of = self.arrays, self.device, self.of.worlds, self._motions
@@ -285,11 +276,6 @@ class GraphWork:
             launch(summing.mean_load, loads.shape, [*weighed, loads], device),
             *owners.calls(loads, *sampled, arrays["origins"], arrays["forces"], device),
         ]
-
-    def _path_memory(self) -> PathMemory:
-        """Return the memory for the data of a moving focus."""
-        here = self.arrays
-        return PathMemory(*(here[f"path_{name}"] for name in PATH), *(here[f"{name}_drives"] for name in PURPOSES))
 
     def _stepping(self, skin: int, model: DeviceModel) -> Launches:
         """Return launches of the step of a skin, without those that read its sensors and store its final state."""

@@ -203,11 +203,6 @@ class SkinModel:
         self.lock = threading.RLock()
 
     @property
-    def state_room(self) -> int:
-        """Return the largest number of state variables of the skin; needs no matrices."""
-        return self.solver.state_size
-
-    @property
     def solver(self) -> LayerSolver:
         """Return the layer in the form that its solver uses."""
         return layer_solver(self.layer, self.choice.name)
@@ -303,7 +298,6 @@ class HapticModel:
     """All data of a scene that are constant in a run.
 
     arrays: in their relative pose of the reference configuration. board: the one that plays the drive.
-    pole: of all transducers. response_on: whether their ring-up is modelled.
     begin: the first stepper of each skin. whole: the stepper of its whole layer.
     marks: numbers that identify states, see `palmfield.simulation.state`; filled at first use.
     """
@@ -314,8 +308,6 @@ class HapticModel:
     stimuli: tuple[StimulusModel, ...]
     bodies: tuple[BodyModel, ...]
     skins: tuple[SkinModel, ...]
-    pole: Pole
-    response_on: bool
     begin: tuple[Lazy[SkinStepper], ...]
     whole: "tuple[Lazy[WedgeStepper], ...]"
     marks: dict[tuple[str, int, str], float] = field(default_factory=dict)
@@ -324,6 +316,16 @@ class HapticModel:
     def configs(self) -> tuple[StimulusConfig, ...]:
         """Return the keys of the stimuli."""
         return tuple(part.config for part in self.stimuli)
+
+    @cached_property
+    def pole(self) -> Pole:
+        """Return the response of all transducers."""
+        return self.stimuli[0].response.pole
+
+    @cached_property
+    def response_on(self) -> bool:
+        """Whether ring-up is modelled, for all transducers or for none: they share one state."""
+        return self.stimuli[0].response.on
 
     @cached_property
     def sounding(self) -> int:

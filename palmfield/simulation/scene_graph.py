@@ -202,8 +202,8 @@ class SceneGraph(HostBackend):
                     models[number] = model
         known = self._graphs.get(drives is not None)
         same = known is not None and all(known.of.skins.get(number) is one for number, one in models.items())
-        if known is None or not same or not known.sizes.holds(sizes):
-            sizes = sizes if known is None else sizes.joined(known.sizes)
+        sizes = sizes if known is None else sizes.joined(known.sizes)
+        if known is None or not same or known.sizes != sizes:
             skins = models if known is None else {**known.of.skins, **models}
             self._graphs.pop(drives is not None, None)  # frees its memory for the next graph
             self._now = known = None

@@ -72,7 +72,7 @@ def array_room(transducers: int) -> int:
 
 def skin_room(model: HapticModel, skin: int) -> int:
     """Return the length of the state of a skin; needs no matrices."""
-    return HEADER + model.skins[skin].state_room
+    return HEADER + model.skins[skin].solver.state_size
 
 
 def new_state(model: HapticModel, worlds: int = 1) -> HapticState:

@@ -13,7 +13,6 @@ from palmfield.config.skin import BODIES, OF_SHAPES
 from palmfield.device import available_bytes
 from palmfield.drive.board import Board, check
 from palmfield.drive.boards import boards_for
-from palmfield.drive.response import Pole
 from palmfield.errors import DeviceError, SceneError
 from palmfield.simulation.array_face import TILT_RAD
 from palmfield.simulation.model import SkinModel, StimulusModel
@@ -150,7 +149,7 @@ def _missed(skin: SkinSpec, layer: SceneLayer, stimulus: StimulusModel) -> str:
     )
 
 
-def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusSpec], pole: Pole, response_on: bool) -> None:
+def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusModel]) -> None:
     """Refuse stimuli that take boundary elements too long: each focus and pose needs a new solution."""
     if skin.config.body_sound != "scattering":
         return
@@ -161,7 +160,8 @@ def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusSpec], pole: Pole
         raise SceneError(f"{name} with one stimulus only, because levels of several change independently; use shadows")
     if skin.config.arp_law != "default":
         raise SceneError(f"{name} with arp_law 'default' only, because scattering computes the total field")
-    if response_on and np.ptp(np.abs(pole.rate)) > 0.0:
+    response = stimuli[0].response
+    if response.on and np.ptp(np.abs(response.pole.rate)) > 0.0:
         raise SceneError(f"{name} with equal transducer responses only; set key 'response' of the array to off")
 
 

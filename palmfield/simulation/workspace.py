@@ -1,5 +1,7 @@
 """Working data of the steps of one world: emission, fields, and what is watched."""
 
+from copy import copy
+
 from scipy import sparse
 
 from palmfield.drive.transducer_response import EmittedCourse, rows
@@ -53,7 +55,7 @@ class Workspace:
         self.emission.adopt(other.emission)
         self.radiation.continue_from(other.radiation)
         self.path_sound.adopt(other.path_sound)
-        self.outside = [part.copy() for part in other.outside]
+        self.outside = list(map(copy, other.outside))
 
     def patterns(self, posed: PosedScene, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
         """Return the ARP patterns [Pa] for the `weights` of a course at the points of a stepper, shape (p, n)."""

@@ -203,7 +203,7 @@ def test_modulation_that_comes_round_with_the_path_is_taken(small_scene):
     path = {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 80}
     model = load(small_scene(stimulus=path, skin=SKIN)).runtime.model
     skin = model.skins[0]
-    assert refusal(skin.spec, skin.layer, model.stimuli, model.pole, model.response_on) is None
+    assert refusal(skin.spec, skin.layer, model.stimuli) is None
 
 
 def test_auto_weighs_making_against_stepping(small_scene):

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from palmfield.drive.response import Pole
 from palmfield.errors import SceneError
 from palmfield.phases import phase
 from palmfield.simulation.model import HapticModel, StimulusModel
@@ -20,12 +19,7 @@ MOST_SMALL_MODELS = 8
 
 
 def choose_stepper(
-    spec: SceneSpec,
-    skin: SkinSpec,
-    layer: SceneLayer,
-    stimuli: tuple[StimulusModel, ...],
-    pole: Pole,
-    response_on: bool,
+    spec: SceneSpec, skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...]
 ) -> StepperChoice:
     """Choose the stepper by key `solver`, by which reductions are possible, and by predicted time.
 
@@ -39,9 +33,9 @@ def choose_stepper(
     if own is not None and own.own_mesh:
         own_s = own.seconds(spec.duration_s, spec.device)
         return StepperChoice(requested, BY_KEY, own_s, wedges_s(layer.dofs, substeps))
-    refusal = known_load.refusal(skin, layer, stimuli, pole, response_on)
+    refusal = known_load.refusal(skin, layer, stimuli)
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
-    vectors = 0 if refusal is not None else known_load.expected_vectors(sounding[0], pole, response_on)
+    vectors = 0 if refusal is not None else known_load.expected_vectors(sounding[0])
     modes, modal_refusal = mode_estimate.expected_modes(skin, layer), mode_estimate.refusal(skin, layer)
     work = LayerWork(layer.dofs, substeps, vectors, refusal, modes, modal_refusal, mode_estimate.laws(layer))
     with skin.naming():

@@ -11,7 +11,6 @@ import numpy as np
 
 from palmfield import cache
 from palmfield.config import StimulusConfig
-from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import commanded_drive
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, StimulusModel
@@ -70,9 +69,7 @@ SETTLED = 12.0
 # -- which scenes have one -----------------------------------------------------------------------------------------
 
 
-def refusal(
-    skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...], pole: Pole, response_on: bool
-) -> str | None:
+def refusal(skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...]) -> str | None:
     """Return why a skin cannot be reduced for these stimuli, in words, or None."""
     if skin.moves:
         return "a script moves something in the scene"
@@ -81,7 +78,7 @@ def refusal(
         return "the stimulus is silent"
     if len(sounding) > 1:
         return f"{len(sounding)} stimuli are active together"
-    if one_shape(sounding[0], pole, response_on):
+    if one_shape(sounding[0]):
         return None
     config = sounding[0].config
     if not repeats(config):
@@ -92,7 +89,7 @@ def refusal(
         return "the focus jumps from one end of its path to the other"
     if config.path != "point" and config.control_rate_Hz > 0.0:
         return "control_rate_Hz holds the focus at moments that do not repeat with the path"
-    expected = expected_vectors(sounding[0], pole, response_on)
+    expected = expected_vectors(sounding[0])
     if expected > MOST_VECTORS:
         return f"the focus rests at {points_a_turn(config)} points in turn, which needs about {expected} vectors"
     turn = period_s(config)
@@ -103,9 +100,9 @@ def refusal(
     return None
 
 
-def expected_vectors(stimulus: StimulusModel, pole: Pole, response_on: bool) -> int:
+def expected_vectors(stimulus: StimulusModel) -> int:
     """Expected number of vectors of the model, from the shipped scenes."""
-    if one_shape(stimulus, pole, response_on):
+    if one_shape(stimulus):
         return 60
     config = stimulus.config
     rate = turn_rate_Hz(config)
@@ -115,9 +112,10 @@ def expected_vectors(stimulus: StimulusModel, pole: Pole, response_on: bool) -> 
     return 100 if config.stop_s is None else 200
 
 
-def one_shape(stimulus: StimulusModel, pole: Pole, response_on: bool) -> bool:
+def one_shape(stimulus: StimulusModel) -> bool:
     """Whether the load is one field in which only the level changes."""
-    alike = not response_on or (not stimulus.response.delayed and np.ptp(np.abs(pole.rate)) == 0.0)
+    response = stimulus.response
+    alike = not response.on or (not response.delayed and np.ptp(np.abs(response.pole.rate)) == 0.0)
     return stimulus.config.path == "point" and alike
 
 
@@ -195,10 +193,10 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     start, step = config.start_s, layer.sizes.step_s
     turn = period_s(config) or 0.0
     trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1, dtype=np.float64)
-    if one_shape(stimulus, model.pole, model.response_on):
+    if one_shape(stimulus):
         loudness = posed.focal_points(stimulus, number).loudness(first_point(config))
         drive = array_drives(model, posed.arrays)[number].unit_drive(stimulus.reference_foci, loudness)
-        pressures = _pressures(skin, posed, radiation, _at_full_level(drive.amplitudes[None])[0])
+        pressures = radiation.many(posed, skin, _at_full_level(drive.amplitudes[None])[0])
         shape: Float = operator @ pressures.T
         lines = [0.0, layer.demand.main_frequency_Hz, *main_frequencies(config)]
         spectrum: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
@@ -206,10 +204,10 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     count = samples(config, turn, layer.demand.max_frequency_Hz)
     skip = math.ceil(_settling_s(stimulus, model) * count / turn)
     drives, level_of = _at_full_level(steady_drives(model, number, posed, turn / count, skip, count))
-    pressures = _pressures(skin, posed, radiation, drives)
+    pressures = radiation.many(posed, skin, drives)
     # The parts of the load need a finer tolerance than its relevant harmonics
     close = steady_drives(model, number, posed, turn / (CLOSER * count), CLOSER * skip, CLOSER * count)
-    examples = _pressures(skin, posed, radiation, close)
+    examples = radiation.many(posed, skin, close)
     loads: Float = (operator @ pressures.T).T
     waves = np.conj(np.fft.rfft(loads, axis=0)[: count // 4 + 1].T) / count
     waves[:, 1:] *= 2.0
@@ -235,9 +233,9 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     if model.response_on:
         width = _settling_s(stimulus, model) / BEGINNING
         drives, _ = _at_full_level(steady_drives(model, number, posed, width, 0, BEGINNING), level_of)
-        beginning = _pressures(skin, posed, radiation, drives)
+        beginning = radiation.many(posed, skin, drives)
         close = steady_drives(model, number, posed, width / BEGIN_CLOSER, 0, BEGIN_CLOSER * BEGINNING)
-        examples = np.concatenate([examples, _pressures(skin, posed, radiation, close)])
+        examples = np.concatenate([examples, radiation.many(posed, skin, close)])
         difference: Float = (operator @ beginning.T).T
         moments: Float = width * np.arange(BEGINNING, dtype=np.float64)
         difference -= (level(begin, moments)[:, None] * harmonics(frequencies, moments)) @ course.shapes.T
@@ -300,8 +298,3 @@ def _at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Comp
     """
     level_of = level_of or float(np.abs(drives).max())
     return np.round(drives / level_of, DIGITS), level_of
-
-
-def _pressures(skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float32:
-    """Return ARP at the quadrature points of a skin [Pa] for drives (f, N), shape (f, q)."""
-    return radiation.many(posed, skin, drives)

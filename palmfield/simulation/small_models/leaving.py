@@ -121,12 +121,6 @@ class OutsideClass:
         self.loudest = max(self.loudest, step.energy_of_all)
         return math.sqrt(step.energy / self.loudest) if self.loudest > 0.0 else 0.0
 
-    def copy(self) -> "OutsideClass":
-        """An independent copy."""
-        result = OutsideClass()
-        result.sums, result.loudest = self.sums, self.loudest
-        return result
-
     @property
     def energy_share(self) -> float:
         """Return the share of all loads outside the class, in the energy norm; about the error in the displacement."""

@@ -32,7 +32,7 @@ def draw_again(sim: Simulation, seed: int) -> None:
     stimuli = tuple(replace(one, config=drawn_stimulus(one.config, rng)) for one in model.spec.stimuli)
     spec = replace(model.spec, stimuli=stimuli)
     other = build(spec, model)
-    runtime.exchange(replace(model, spec=spec, stimuli=other.stimuli, response_on=other.response_on, marks={}))
+    runtime.exchange(replace(model, spec=spec, stimuli=other.stimuli, marks={}))
     move_arrays(sim.model, runtime.binding.array_sites, rng)
     sim.reset()
 

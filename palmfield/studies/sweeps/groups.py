@@ -167,7 +167,7 @@ def _demands(view: Preview, differing: Keys) -> list[LayerDemand] | None:
     carriers = [model.bodies[skin.body] for skin in model.skins]
     try:
         (spec,) = world_specs(view.runtime.spec, stimulus_texts(view.runtime), WorldKeys({}, by_instance), 1)
-        stimuli, _, _ = stimuli_of(spec, model.arrays, model.board, carriers)
+        stimuli = stimuli_of(spec, model.arrays, model.board, carriers)
         if all(stimulus.silent for stimulus in stimuli):
             return None
         return demands_of(spec, stimuli, model.arrays, model.board, carriers)
