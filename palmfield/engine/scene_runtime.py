@@ -59,18 +59,16 @@ class SceneRuntime:
         self.layout = PoseLayout.of(self.model)
         bound = self.binding.skins
         firsts = [bound[number] for number in self.model.first_skins]
-        self.bodies = [first.body for first in firsts]
         self.parts = [first.bones or (first.body,) for first in firsts]
         self.outlets = [ForceOutlet(view, parts) for parts in self.parts]
         binding = self.binding
         transducers = [site for sites in binding.transducer_sites for site in sites]
-        self._sites = np.array([*binding.array_sites, *binding.frame_sites, *transducers], dtype=np.int64)
+        sites = np.array([*binding.array_sites, *binding.frame_sites, *transducers], dtype=np.int64)
         bodies = [number for first in firsts for number in (first.body, *first.bones)]
         obstacles = [number for skin in bound for number in skin.obstacles]
-        self._bodies = np.array([*bodies, *obstacles], dtype=np.int64)
-        sites, count = len(self._sites), len(self._sites) + len(self._bodies)
+        moving, count = np.array([*bodies, *obstacles], dtype=np.int64), len(sites) + len(bodies) + len(obstacles)
         self.taken: tuple[tuple[Literal["site", "body"], NDArray[np.int64], slice], ...]
-        self.taken = ("site", self._sites, slice(0, sites)), ("body", self._bodies, slice(sites, None))
+        self.taken = ("site", sites, slice(0, len(sites))), ("body", moving, slice(len(sites), None))
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
         self._reading = self.reading(self._positions, self._matrices)
         self._to_step = Frames(self._positions[None], self._matrices[None], self._posed_in)

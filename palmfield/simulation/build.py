@@ -24,7 +24,6 @@ from palmfield.hand.surface import hand_surface
 from palmfield.locked import Lazy
 from palmfield.simulation.array_face import wall_distance
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, about_stimulus, array_instances
-from palmfield.simulation.posed_scene import STILL
 from palmfield.simulation.small_models.choice import choose_stepper, first_stepper
 from palmfield.simulation.small_models.mode_estimate import corner_Hz
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
@@ -329,8 +328,7 @@ def _skins(
     for skin, layer in zip(spec.skins, layers, strict=True):
         number = names.index(skin.config.body)
         choice = choose_stepper(spec, skin, layer, stimuli)
-        still_m = STILL * skin.config.accuracy * layer.demand.spot_fwhm_m
-        skins.append(SkinModel(skin, number, bodies[number], layer, choice, still_m))
+        skins.append(SkinModel(skin, number, bodies[number], layer, choice))
     return tuple(skins)
 
 

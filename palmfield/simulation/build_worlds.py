@@ -19,7 +19,6 @@ from palmfield.simulation.build import (
     whole_of,
 )
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
-from palmfield.simulation.posed_scene import STILL
 from palmfield.simulation.small_models.choice import choose_stepper, common_choice, first_stepper
 from palmfield.simulation.spec import SceneSpec
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
@@ -119,8 +118,7 @@ def _skins(
         if layer is known.layer and choice == known.choice:
             skins.append(known)
         else:
-            still_m = STILL * known.spec.config.accuracy * layer.demand.spot_fwhm_m
-            skins.append(SkinModel(known.spec, known.body, known.carrier, layer, choice, still_m, settles))
+            skins.append(SkinModel(known.spec, known.body, known.carrier, layer, choice, settles))
     return tuple(skins)
 
 

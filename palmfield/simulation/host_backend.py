@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from palmfield.device import resolve
-from palmfield.drive.transducer_response import EmittedCourse, present_drive
+from palmfield.drive.transducer_response import EmittedCourse, present_drive, rows
 from palmfield.errors import naming_world
 from palmfield.simulation.backend import Backend, Frames, StepTrace
 from palmfield.simulation.emission import MeanDrives
@@ -21,10 +21,12 @@ from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import SensorPlace
+from palmfield.simulation.skin_sound import Role
 from palmfield.simulation.small_models.leaving import (
     continue_on_whole_layer,
     leaves_class,
     leaves_small_model,
+    loudest_load,
 )
 from palmfield.simulation.smooth_sound import SmoothSound
 from palmfield.simulation.state import (
@@ -193,11 +195,15 @@ class HostBackend(Backend):
         """Compute the mean ARP of a world at the samples of each body. For a single drive, `push` computes it."""
         work, posed = self.works[world], self._posed[world]
         for body, pressed in enumerate(self._pressed):
-            arp = work.mean_pressure(posed, body, mean)
+            skin, arp = self.models[0].first_skins[body], None
+            if work.path_sound.serves:
+                arp = work.path_sound.arp(posed, skin, "samples", mean.levels @ mean.units)
+            if arp is None and len(mean.weights) > 1:
+                arp = work.radiation.sums(posed, skin, mean.units, mean.levels, "samples")
             if arp is not None:
-                pressed[world] = np.asarray(arp, np.float64)
-                continue
-            self._singles[body].append(self._single(world, mean.weights, mean.units[0], mean.serial))
+                pressed[world] = np.asarray(mean.weights @ arp, np.float64)
+            else:
+                self._singles[body].append(self._single(world, mean.weights, mean.units[0], mean.serial))
 
     def _single(self, world: int, factors: Float, drive: Complex, serial: int) -> Sounding:
         """Return the Sounding of one drive in one world."""
@@ -396,8 +402,11 @@ class HostBackend(Backend):
             at = group.worlds.searchsorted(own)
             for i, seen in zip(at.tolist(), self._outside(skin, stepper, own, group.keys[at], loads), strict=True):
                 world = int(group.worlds[i])
-                model, work = self.models[world], self.works[world]
-                if leaves_class(model, skin, work.outside_share(skin, stepper, seen)):
+                model, outside = self.models[world], self.works[world].outside[skin]
+                if outside.loudest is None:
+                    work = self.works[world]
+                    outside.loudest = loudest_load(model, skin, stepper, work.reference, work.radiation)
+                if leaves_class(model, skin, outside.add(seen)):
                     self._continue_whole(group, i, skin, t0)
                     left = True
         return left
@@ -473,8 +482,18 @@ class HostBackend(Backend):
         return np.stack(patterns)
 
     def _patterns(self, world: int, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
-        """Return the patterns of ARP of a course at the points of a stepper of a skin [Pa], shape (p, n)."""
-        return self.works[world].patterns(self._posed[world], skin, stepper, course)
+        """Return the patterns of ARP [Pa] for the `weights` of a course at the points of a stepper, shape (p, n)."""
+        work, posed = self.works[world], self._posed[world]
+        path = work.path_sound
+        role: Role = "quadrature" if stepper.points is None else "load"
+        if stepper.points is not None:
+            work.radiation.choose(skin, stepper.points)
+        if path.serves and len(course.units) > 1:
+            on_path = path.arp(posed, skin, role, rows(course))
+            path.off = 0 if on_path is not None else path.off + 1
+            if on_path is not None:
+                return on_path
+        return work.radiation.patterns(posed, skin, role, course)
 
     def steppers(self, skin: int, worlds: Rows) -> list[tuple[SkinStepper, Rows]]:
         """Return the steppers of a skin, each with those of `worlds` that it steps."""

@@ -39,6 +39,11 @@ if TYPE_CHECKING:  # imported at use: many bodies are in one piece, and most sti
     from palmfield.stimulus.surface_path import SurfacePath
 
 
+STILL = 0.05
+"""A body or focus counts as still if it moves less than this factor times accuracy times spot width. The load error is
+then below a tenth of the accuracy (displacement over standard deviation, over sqrt 2)."""
+
+
 @dataclass(frozen=True)
 class StimulusModel:
     """One stimulus with the transducers that it drives.
@@ -194,11 +199,10 @@ class SkinModel:
         carrier: BodyModel,
         layer: SceneLayer,
         choice: StepperChoice,
-        still_m: float,
         settles: bool | None = None,
     ):
         self.spec, self.body, self.carrier, self.layer = spec, body, carrier, layer
-        self.choice, self.still_m = choice, still_m
+        self.choice, self.still_m = choice, STILL * spec.config.accuracy * layer.demand.spot_fwhm_m
         self.settles = not choice.solver.any_pose if settles is None else settles
         self.lock = threading.RLock()
 

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from palmfield.hand.posed_surface import SkinBinding
 
 SERIAL = attrgetter("serial")
-STILL = 0.05
-"""A body or focus counts as still if it moves less than this factor times accuracy times spot width. The load error is
-then below a tenth of the accuracy (displacement over standard deviation, over sqrt 2)."""
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,14 @@ from copy import copy
 
 from scipy import sparse
 
-from palmfield.drive.transducer_response import EmittedCourse, rows
-from palmfield.simulation.emission import Emission, MeanDrives, looks_ahead
+from palmfield.simulation.emission import Emission, looks_ahead
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.skin_sound import Role
-from palmfield.simulation.small_models.leaving import OutsideClass, loudest_load
-from palmfield.skin.stepper import Outside, Reader, SkinStepper
-from palmfield.types import Float, Float32
+from palmfield.simulation.small_models.leaving import OutsideClass
+from palmfield.skin.stepper import Reader, SkinStepper
+from palmfield.types import Float
 
 MOST_OFF_PATH = 8
 """Number of consecutive courses off a path (as during ring-up) after which its stored fields are no longer used."""
@@ -57,41 +55,11 @@ class Workspace:
         self.path_sound.adopt(other.path_sound)
         self.outside = list(map(copy, other.outside))
 
-    def patterns(self, posed: PosedScene, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
-        """Return the ARP patterns [Pa] for the `weights` of a course at the points of a stepper, shape (p, n)."""
-        role: Role = "quadrature"
-        if stepper.points is not None:
-            self.radiation.choose(skin, stepper.points)
-            role = "load"
-        path = self.path_sound
-        if path.serves and len(course.units) > 1:
-            on_path = path.arp(posed, skin, role, rows(course))
-            path.off = 0 if on_path is not None else path.off + 1
-            if on_path is not None:
-                return on_path
-        return self.radiation.patterns(posed, skin, role, course)
-
     def look_ahead(self, posed: PosedScene) -> None:
         """Switch look-ahead of the emission on if it saves time, which is not so on a path with predicted sound."""
         path = self.path_sound
         known = path.serves and path.off < MOST_OFF_PATH and path.holds(posed)
         self.emission.ahead = self._may_look_ahead and not known
-
-    def mean_pressure(self, posed: PosedScene, body: int, mean: MeanDrives) -> Float | Float32 | None:
-        """Return the mean ARP [Pa] at the samples of a body; None for a single drive, whose ARP is stored elsewhere."""
-        skin, arp = self.model.first_skins[body], None
-        if self.path_sound.serves:
-            arp = self.path_sound.arp(posed, skin, "samples", mean.levels @ mean.units)
-        if arp is None and len(mean.weights) > 1:
-            arp = self.radiation.sums(posed, skin, mean.units, mean.levels, "samples")
-        return None if arp is None else mean.weights @ arp
-
-    def outside_share(self, skin: int, stepper: SkinStepper, seen: Outside) -> float:
-        """Return the part of a step's load on a skin outside the class of its modes, see OutsideClass.add."""
-        outside = self.outside[skin]
-        if outside.loudest is None:
-            outside.loudest = loudest_load(self.model, skin, stepper, self.reference, self.radiation)
-        return outside.add(seen)
 
     def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
         """Return the operator from states of this stepper to watched values; the stepper may change in any step."""

@@ -29,7 +29,7 @@ class LoudestSound:
         part = model.skins[skin]
         if layer is part.layer:
             return self.on_own
-        other = SkinModel(part.spec, part.body, part.carrier, layer, part.choice, part.still_m)
+        other = SkinModel(part.spec, part.body, part.carrier, layer, part.choice)
         place, body = posed.skins[skin], posed.bodies[part.body]
         disc = part.carrier.surface is None
         if disc:
