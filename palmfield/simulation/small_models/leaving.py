@@ -4,7 +4,7 @@ The part of the loads on a skin outside the class of its modes is measured in ev
 """
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from palmfield.simulation.state import HEADER, WHOLE, HapticState, claim
 from palmfield.skin.stepper import Outside, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import first_point
 from palmfield.types import Complex, Float
-
-if TYPE_CHECKING:
-    from palmfield.skin.fem.wedge_stepper import WedgeStepper
 
 SHORT_WAVES = 3.0
 """Approximate ratio of the velocity error due to load outside the class to its share of the pressure. Its waves are
@@ -76,11 +73,8 @@ def continue_on_whole_layer(
     radiation: Radiation,
     amplitudes: Complex,
     t0: float,
-) -> "tuple[WedgeStepper, Float]":
-    """Expand the motion of a reduced model to the whole layer, in place; amplitudes: emission at t0 [s], shape (N,).
-
-    Returns the stepper of the whole layer and its numbers, shape (1, state_size), a view of the state.
-    """
+) -> None:
+    """Expand the motion of a reduced model to the whole layer, in place; amplitudes: emission at t0 [s], shape (N,)."""
     small, whole = model.begin[skin].value, model.whole[skin].value
     numbers = state.skins[skin][:, HEADER:]
 
@@ -93,9 +87,9 @@ def continue_on_whole_layer(
         radiation.choose(skin, small.points)
         return factor * radiation.on(posed, skin, "load", drive, course.serial).arp.astype(np.float64)
 
-    numbers[:, : whole.state_size] = small.lifted(numbers[:, : small.state_size], pressure)
+    lifted = small.lifted(numbers[:, : small.state_size], pressure)
     claim(model, state, skin, whole)
-    return whole, numbers[:, : whole.state_size]
+    numbers[:, : whole.state_size] = lifted
 
 
 class OutsideClass:
