@@ -56,7 +56,7 @@ class SceneRuntime:
             self.work = Workspace(self.model)
         else:
             self.spec, self.binding, self.model, self.work = like.spec, like.binding, like.model, like.work
-        self.layout = PoseLayout.of(self.model)
+        self.layout = PoseLayout(self.model)
         bound = self.binding.skins
         firsts = [bound[number] for number in self.model.first_skins]
         self.parts = [first.bones or (first.body,) for first in firsts]

@@ -34,9 +34,9 @@ from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout
 from palmfield.simulation.radiation import bends
 from palmfield.simulation.scene_points import (
-    ForceOwners,
     ScenePoints,
     bring_mesh,
+    force_calls,
     mesh_number,
     meshes_of,
     motions_of,
@@ -105,7 +105,7 @@ class GraphWork:
         """Raises DeviceError if the device has too little memory."""
         self.of, self.sizes, self.model = of, sizes, model
         device = self.device = transducers.device
-        layout = PoseLayout.of(model)
+        layout = PoseLayout(model)
         self._motions = motions_of(model, layout)
         motions, worlds = self._motions.total, of.worlds
         frames = layout.obstacles[-1].stop
@@ -271,10 +271,10 @@ class GraphWork:
         sampled = points.points[:, points.sampled], points.normals[:, points.sampled]
         loads: Any = wp.zeros((self.of.worlds, pressed.shape[1]), dtype=wp.float64, device=device)
         weighed = [arrays[f"{FORCE}_counts"], arrays["weights"], pressed, points.areas, *sampled, transducers.corners]
-        owners = ForceOwners(reference, self._motions, points)
+        made = loads, *sampled, arrays["origins"], arrays["forces"], device
         return [
             launch(summing.mean_load, loads.shape, [*weighed, loads], device),
-            *owners.calls(loads, *sampled, arrays["origins"], arrays["forces"], device),
+            *force_calls(reference, self._motions, points, *made),
         ]
 
     def _stepping(self, skin: int, model: DeviceModel) -> Launches:

@@ -74,7 +74,7 @@ class MovingWorlds(Backend):
         super().__init__(models, works, state)
         self._alone, self._room_for = alone, room_for
         self.own = slice(first, first + len(models))
-        able = np.array([may_join(model, PoseLayout.of(model)) for model in models])
+        able = np.array([may_join(model) for model in models])
         self.some = bool(able.any())
         self._rings = models[int(able.argmax())].response_on
         self._may: Bool = able & [model.response_on == self._rings for model in models]
@@ -380,10 +380,10 @@ def _outside(work: GraphWork, skin: int) -> Outside:
     return seen
 
 
-def may_join(model: HapticModel, layout: PoseLayout) -> bool:
+def may_join(model: HapticModel) -> bool:
     """Whether sound and skins of a world can be computed here. Conditions: equal transducers at rest, one focus that
     moves and changes level without jumps, surfaces without shadows, and skins that move by modes."""
-    if len(model.stimuli) != 1 or layout.movable or model.substeps < 2:
+    if len(model.stimuli) != 1 or PoseLayout(model).movable or model.substeps < 2:
         return False
     part, drive = model.stimuli[0], array_drives(model, model.arrays)[0]
     response, config = part.response, part.config

@@ -65,7 +65,7 @@ class PathSound:
         from palmfield.acoustics.spanned_arp import drives_span, spanned_fields  # few scenes have such a path
 
         model = self.model
-        basis = self._fields.of("span", (), lambda: drives_span(path_drives(model, model.sounding, self.reference)))
+        basis = self._fields.of("span", (), lambda: drives_span(path_drives(model, self.reference)))
         *_, points, normals, _, _ = self.radiation.points(posed, skin, role)
         if basis is None or len(points) == 0:
             return None

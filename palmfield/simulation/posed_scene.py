@@ -5,7 +5,6 @@ The scene and its parts have serial numbers, which are the keys of stored fields
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
 from typing import TYPE_CHECKING
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 SERIAL = attrgetter("serial")
 
 
-@dataclass(frozen=True)
 class PoseLayout:
     """Order of the rows in the list of all world frames on which the sound and the skins of a scene depend.
 
@@ -36,33 +34,22 @@ class PoseLayout:
     movable: whether transducers may move relative to each other: several arrays, or transducers that are sites.
     """
 
-    arrays: int
-    frames: slice
-    transducers: tuple[slice, ...]
-    bodies: tuple[tuple[int, slice], ...]
-    obstacles: tuple[slice, ...]
-    movable: bool
-
-    @staticmethod
-    def of(model: HapticModel) -> "PoseLayout":
-        """Make the layout for the arrays, stimuli, bodies and skins of a model."""
+    def __init__(self, model: HapticModel):
         spec = model.spec
-        row = len(spec.arrays)
-        frames = slice(row, row + len(spec.stimuli))
-        row = frames.stop
-        transducers, bodies, obstacles = [], [], []
+        self.arrays = row = len(spec.arrays)
+        self.frames = slice(row, row + len(spec.stimuli))
+        row = self.frames.stop
+        self.transducers, self.bodies, self.obstacles = list[slice](), list[tuple[int, slice]](), list[slice]()
         for array in spec.arrays:
-            transducers.append(slice(row, row + len(array.placement.sites)))
-            row = transducers[-1].stop
+            self.transducers.append(slice(row, row + len(array.placement.sites)))
+            row = self.transducers[-1].stop
+        self.movable = self.arrays > 1 or row > self.frames.stop
         for body in model.bodies:
-            bodies.append((row, slice(row + 1, row + 1 + len(body.rest_origins))))
-            row = bodies[-1][1].stop
+            self.bodies.append((row, slice(row + 1, row + 1 + len(body.rest_origins))))
+            row = self.bodies[-1][1].stop
         for skin in model.skins:
-            obstacles.append(slice(row, row + len(skin.spec.obstacles)))
-            row = obstacles[-1].stop
-        movable = len(spec.arrays) > 1 or transducers[0].start < transducers[0].stop
-        parts = tuple(transducers), tuple(bodies), tuple(obstacles)
-        return PoseLayout(len(spec.arrays), frames, *parts, movable)
+            self.obstacles.append(slice(row, row + len(skin.spec.obstacles)))
+            row = self.obstacles[-1].stop
 
 
 class PosedSurface:

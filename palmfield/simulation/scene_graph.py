@@ -70,7 +70,7 @@ class SceneGraph(HostBackend):
         self._work, self._reference = works[0], works[0].reference
         device = resolve(model.spec.device)
         self._transducers, self._made = Transducers(model.arrays, device), Kept()
-        layout = PoseLayout.of(model)
+        layout = PoseLayout(model)
         self._motions: MotionRows = motions_of(model, layout)
         # Arrays and stimuli do not move in the frame of the first array
         count = layout.obstacles[-1].stop

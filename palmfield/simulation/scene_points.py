@@ -237,48 +237,39 @@ def _rest_samples(reference: PosedScene, number: int) -> tuple[Float, Float, Flo
     return body.model.rest_samples
 
 
-class ForceOwners:
-    """Force samples grouped by the part of a body that they push."""
-
-    def __init__(self, reference: PosedScene, rows: MotionRows, of: ScenePoints):
-        samples = of.samples
-        owners: Int = np.zeros(samples[-1][1].stop, np.int32)
-        self._parts = rows.parts
-        for number, own in samples:
-            parts = reference.bodies[number].sample_parts
-            owners[own] = rows.bodies[number].start + parts[of.orders.get(number, slice(None))]
-        self._order = np.argsort(owners, kind="stable").astype(np.int32)
-        counts = np.bincount(owners, minlength=self._parts)
-        starts: list[int] = []
-        of_parts, at = [0], 0
-        for count in counts.tolist():
-            starts += range(at, at + count, RUN)
-            of_parts.append(len(starts))
-            at += count
-        self._run_parts = np.repeat(np.arange(self._parts), np.diff(of_parts))
-        self._starts, self._of_parts = np.array([*starts, at], np.int32), np.array(of_parts, np.int32)
-
-    def calls(
-        self, loads: Any, points: Any, normals: Any, origins: Any, result: Any, device: str
-    ) -> list[Callable[[], object]]:
-        """Return launches that add up loads by part."""
-        order, starts, parts, of_parts = (
-            whole_numbers(values, device) for values in (self._order, self._starts, self._run_parts, self._of_parts)
-        )
-        runs = len(self._starts) - 1
-        worlds = len(result)
-        sums: Any = wp.zeros((worlds, runs, 6), dtype=wp.float64, device=device)
-        lanes: Any = wp.zeros((worlds, summing.LANES, self._parts, 6), dtype=wp.float64, device=device)
-        return [
-            launch(
-                summing.sums_of_runs,
-                (worlds, runs),
-                [loads, points, normals, order, starts, parts, origins, sums],
-                device,
-            ),
-            launch(summing.sums_of_parts, lanes.shape, [sums, of_parts, lanes], device),
-            launch(summing.sums_of_lanes, result.shape, [lanes, result], device),
-        ]
+def force_calls(
+    reference: PosedScene,
+    rows: MotionRows,
+    of: ScenePoints,
+    loads: Any,
+    points: Any,
+    normals: Any,
+    origins: Any,
+    result: Any,
+    device: str,
+) -> list[Callable[[], object]]:
+    """Return launches that add up the loads of force samples by the part of a body that they push."""
+    owners: Int = np.zeros(of.samples[-1][1].stop, np.int32)
+    for number, own in of.samples:
+        parts = reference.bodies[number].sample_parts
+        owners[own] = rows.bodies[number].start + parts[of.orders.get(number, slice(None))]
+    starts: list[int] = []
+    of_parts, at = [0], 0
+    for count in np.bincount(owners, minlength=rows.parts).tolist():
+        starts += range(at, at + count, RUN)
+        of_parts.append(len(starts))
+        at += count
+    worlds, runs = len(result), len(starts)
+    tables = np.argsort(owners, kind="stable"), [*starts, at], np.repeat(np.arange(rows.parts), np.diff(of_parts))
+    order, begins, run_parts = (whole_numbers(values, device) for values in tables)
+    sums: Any = wp.zeros((worlds, runs, 6), dtype=wp.float64, device=device)
+    lanes: Any = wp.zeros((worlds, summing.LANES, rows.parts, 6), dtype=wp.float64, device=device)
+    inputs = [loads, points, normals, order, begins, run_parts, origins, sums]
+    return [
+        launch(summing.sums_of_runs, (worlds, runs), inputs, device),
+        launch(summing.sums_of_parts, lanes.shape, [sums, whole_numbers(of_parts, device), lanes], device),
+        launch(summing.sums_of_lanes, result.shape, [lanes, result], device),
+    ]
 
 
 def mesh_number(model: HapticModel, skin: int) -> int:

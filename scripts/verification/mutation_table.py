@@ -976,8 +976,8 @@ MUTATIONS = (
         "torques about what motions shift by for the parts' origins",
         "graph",
         "palmfield/simulation/graph_work.py",
-        'owners.calls(loads, *sampled, arrays["origins"]',
-        'owners.calls(loads, *sampled, arrays["shifts"]',
+        'made = loads, *sampled, arrays["origins"]',
+        'made = loads, *sampled, arrays["shifts"]',
         "tests/simulation/test_scene_graph.py::test_bones_carry_points_and_samples",
     ),
     Mutation(

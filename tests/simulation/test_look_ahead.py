@@ -36,20 +36,20 @@ class Watch:
     """How often drives are looked at ahead, and how many substeps take a load that was computed ahead, or at once."""
 
     def __init__(self, sim, ahead):
-        work = sim.runtime.work
+        work, host = sim.runtime.work, sim.runtime.steps.host
         self.predictions, self.taken = 0, {True: 0, False: 0}
-        look_ahead, patterns = work.emission._look_ahead, work.patterns
+        look_ahead, patterns = work.emission._look_ahead, host._patterns
 
         def counting(*arguments):
             self.predictions += 1
             return look_ahead(*arguments)
 
-        def taking(posed, skin, stepper, course):
+        def taking(world, skin, stepper, course):
             if len(course.units) > 1:
                 self.taken[course.batch is not None] += SUBSTEPS
-            return patterns(posed, skin, stepper, course)
+            return patterns(world, skin, stepper, course)
 
-        work.emission._look_ahead, work.patterns = counting, taking
+        work.emission._look_ahead, host._patterns = counting, taking
         if not ahead:
             work._may_look_ahead = False
 

@@ -27,7 +27,7 @@ def at_rest(model):
 
 def posed(model, frames, previous=None):
     reference = reference_scene(model)
-    return posed_scene(model, PoseLayout.of(model), *as_arrays(frames), previous or reference, reference)
+    return posed_scene(model, PoseLayout(model), *as_arrays(frames), previous or reference, reference)
 
 
 def assert_same(found, expected):
@@ -40,7 +40,7 @@ def test_all_is_seen_from_the_first_array_wherever_that_is(small_scene):
     plain = path.with_name("plain.xml")
     plain.write_text(plain.read_text().replace("<worldbody>", f"<worldbody>{SITES}", 1))
     model = load(path).runtime.model
-    layout, random = PoseLayout.of(model), np.random.default_rng(0)
+    layout, random = PoseLayout(model), np.random.default_rng(0)
     turns = Rotation.random(layout.obstacles[-1].stop, random).as_matrix()
     frames = [Transform(random.normal(size=3), turn) for turn in turns]
     first, scene = frames[0], posed(model, frames)
@@ -66,8 +66,8 @@ def test_worlds_rest_where_their_scenes_do_however_all_is_turned(small_scene):
             whole = Transform(random.normal(size=3), Rotation.random(rng=random).as_matrix())
             worlds.append([relative(whole, frame) for frame in (*others, body)])
     together = (np.array(part) for part in zip(*map(as_arrays, worlds), strict=True))
-    found = settled_worlds(model, PoseLayout.of(model), *together, reference)
-    alone = [posed_scene(model, PoseLayout.of(model), *as_arrays(one), reference, reference) for one in worlds]
+    found = settled_worlds(model, PoseLayout(model), *together, reference)
+    alone = [posed_scene(model, PoseLayout(model), *as_arrays(one), reference, reference) for one in worlds]
     assert found.tolist() == [one.bodies[0] is reference.bodies[0] for one in alone]
     assert 1 < found.sum() < 8
 

@@ -202,7 +202,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
         spectrum: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
         return KnownLoad(shape, shape, [frames_at(config, start + trial)[1][:, None]], spectrum), pressures
     count = samples(config, turn, layer.demand.max_frequency_Hz)
-    skip = math.ceil(_settling_s(stimulus, model) * count / turn)
+    skip = math.ceil(_settling_s(stimulus) * count / turn)
     drives, level_of = _at_full_level(steady_drives(model, number, posed, turn / count, skip, count))
     pressures = radiation.many(posed, skin, drives)
     # The parts of the load need a finer tolerance than its relevant harmonics
@@ -231,7 +231,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     # Difference between the start and the periodic course, as one impulse spread over the trial.
     impulse = np.zeros(len(course.shapes))
     if model.response_on:
-        width = _settling_s(stimulus, model) / BEGINNING
+        width = _settling_s(stimulus) / BEGINNING
         drives, _ = _at_full_level(steady_drives(model, number, posed, width, 0, BEGINNING), level_of)
         beginning = radiation.many(posed, skin, drives)
         close = steady_drives(model, number, posed, width / BEGIN_CLOSER, 0, BEGIN_CLOSER * BEGINNING)
@@ -246,11 +246,12 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     return KnownLoad(course, shapes, shares, spectrum), examples
 
 
-def _settling_s(stimulus: StimulusModel, model: HapticModel) -> float:
+def _settling_s(stimulus: StimulusModel) -> float:
     """Return the duration of ring-up [s]; 0 without ring-up."""
-    if not model.response_on:
+    response = stimulus.response
+    if not response.on:
         return 0.0
-    return float(SETTLED / model.pole.damping.min() + 2.0 * np.abs(stimulus.response.delays_s).max())
+    return float(SETTLED / response.pole.damping.min() + 2.0 * np.abs(response.delays_s).max())
 
 
 def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: float, skip: int, count: int) -> Complex:
@@ -273,13 +274,13 @@ def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: fl
     return emitted[skip:]
 
 
-def path_drives(model: HapticModel, number: int, posed: PosedScene) -> Complex:
-    """Return the emission along the path of a periodic stimulus, shape (m, N).
+def path_drives(model: HapticModel, posed: PosedScene) -> Complex:
+    """Return the emission along the path of the sounding stimulus, which is periodic, shape (m, N).
 
     These drives span all others, also those during ring-up.
     """
-    stimulus = model.stimuli[number]
-    config, settling = stimulus.config, _settling_s(stimulus, model)
+    number = model.sounding
+    config, settling = model.configs[number], _settling_s(model.stimuli[number])
     turn = period_s(config) or 0.0
     count = SPAN_CLOSER * samples(config, turn, max(skin.layer.demand.max_frequency_Hz for skin in model.skins))
     emitted = steady_drives(model, number, posed, turn / count, math.ceil(settling * count / turn), count)
