@@ -23,7 +23,7 @@ from palmfield.skin.materials.dispersion import Waves, describe
 from palmfield.skin.materials.material import Material, complex_shear, elastic, prony, standard_linear
 from palmfield.skin.materials.prony_fit import fractional, fractional_kelvin_voigt
 from palmfield.skin.materials.ranges import UNITS
-from palmfield.studies.bench.table import cells
+from palmfield.studies.bench.table import keep_rows
 from palmfield_papers.chilles2019.ecoflex import ecoflex_rate_law_mixed, ecoflex_time_as_printed
 from palmfield_papers.mizushima2024 import as_printed
 
@@ -34,6 +34,7 @@ from observed import predicted
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "images" / "materials"
+PAGE = ROOT / "docs" / "materials.md"
 SHADES = ("#c2410c", "#0f766e", "#4338ca", "#a16207", "#be185d", "#0369a1", "#4d7c0f", "#6b7280")
 BAND_HZ = np.geomspace(10.0, 1000.0, 61)
 GEL_SOLID = (4e4, 6e4, 30.0)
@@ -340,18 +341,6 @@ def range_rows() -> list[str]:
     return lines
 
 
-def with_notes(table: list[str], column: int) -> list[str]:
-    """A table whose texts in a column are letters, and the texts once below it."""
-    marks: dict[str, str] = {}
-    lines = table[:2]
-    for row in table[2:]:
-        own = cells(row)
-        if own[column] != "-":
-            own[column] = marks.setdefault(own[column], chr(ord("a") + len(marks)))
-        lines.append(f"| {' | '.join(own)} |")
-    return [*lines, "", f"Sources: {'; '.join(f'{mark}: {text}' for text, mark in marks.items())}."]
-
-
 def skin_rows() -> list[str]:
     lines = [
         "| layer | E relaxed [kPa] | rho [kg/m^3] | palm [mm] | finger pad [mm] | source |",
@@ -396,48 +385,50 @@ def page(traded: dict[int, tuple[list[float], list[float]]], fits: list[tuple[in
     blocks = [
         "# Skin materials",
         f"For everyone who chooses a skin material. Made by `python scripts/draw_materials.py`, commit {commit}; do "
-        "not edit.",
+        "not edit. [Skin mechanics](concepts/skin_mechanics.md#relaxation-laws) explains the symbols.",
         EXAMPLE,
         "## Presets",
         "\n".join(preset_rows()),
         sources,
         "![presets](images/materials/presets.png)",
-        "### Misfit",
-        "\n".join(with_notes(misfit_rows(), 6)),
-        "### Ranges",
-        "\n".join(with_notes(range_rows(), 5)),
+        f"{keep_rows(PAGE, misfit_rows(), 'material_misfit')} has the misfit of each preset to published speeds and "
+        f"decays, and {keep_rows(PAGE, range_rows(), 'material_ranges')} the range of its moduli; both name their "
+        "sources. A range is used for the band of the material in the error budget.",
         "### Speed against decay",
-        "Causality ties dispersion to loss: a surface wave that gains speed from 50 to 400 Hz as on the finger pad "
-        "must fade. The best solids with 1 and with 3 branches whose decay lies in the measured band miss the speeds "
-        f"by {closest[1]:.0f} and {closest[3]:.0f} % rms or more. So `palm`, the default, has the decay and "
-        "`finger_pad` the speeds. Layers, or a finger that moves as a whole, may have both.",
+        "In every causal material, dispersion and loss are linked. If the speed of a surface wave rises from 50 to "
+        "400 Hz as on the finger pad, the wave must decay quickly. No preset can have both the measured speeds and "
+        "the measured decay. Solids with 1 and with 3 branches whose decay lies in the measured band miss the "
+        f"speeds by at least {closest[1]:.0f} and {closest[3]:.0f} % rms. So `palm`, the default, has the measured "
+        "decay, and `finger_pad` the measured speeds. Layered skin, or a finger that moves as a whole, may have both.",
         "![speed against decay](images/materials/speed_decay.png)",
         "## Layered skin",
         "\n".join(skin_rows()),
-        "Assumption: each layer relaxes as the site's preset, by the same share of its modulus. Thicknesses and moduli "
-        "are those of models and vary by about a third and a factor of 2.",
+        "We assume that each layer relaxes like the preset of its site, by the same share of its modulus. "
+        "Thicknesses and moduli come from models. Thicknesses vary by about a third, and moduli by a factor of 2.",
         "## nu = 0.5",
-        "Constructors use K = 1e6 G. Largest change of the motion compared with K = 1e8 G, 0 to 10 mm from the axis of "
-        "a spot, 0 to 400 Hz, on a bonded layer (exact series):",
+        "For Poisson's ratio 0.5, constructors use the bulk modulus K = 1e6 G. The table has the largest relative "
+        "change of the motion with K = 1e8 G instead, by the exact series for a bonded layer, 0 to 10 mm from the "
+        "axis of a spot and at 0 to 400 Hz:",
         "\n".join(incompressible_rows()),
         "## Fractional laws",
-        "A fractional Kelvin-Voigt or Zener law becomes a Prony series over a band. For exponent "
-        f"{EXPONENT} over three decades: {misfits} (rms).",
+        "A fractional Kelvin-Voigt or Zener law is approximated by a Prony series over a band. These are the rms "
+        f"errors for exponent {EXPONENT} over three decades: {misfits}.",
         "![fractional](images/materials/fractional.png)",
         "## A law of your own",
-        "A law G(s) that is no Prony series is one file, `law_NAME.py` in `palmfield/skin/materials/`: a subclass of "
-        "`Material` with `stiffening` (G(s)/G_r, 1 at rest) and `series` (branches for time stepping). Parameters are "
-        "ratios to G_r and times. Scenes find its `PRESETS` by name. Harmonic solutions use G(s); steppers and reduced "
-        "models use the series, and stated errors include its difference from G(s), rms over 5 to 1000 Hz.",
+        "To add a law G(s) that is not a Prony series, write one file, `law_NAME.py` in "
+        "`palmfield/skin/materials/`. It defines a subclass of `Material` with two methods: `stiffening` (G(s)/G_r, "
+        "1 at rest) and `series` (branches for time stepping). Parameters are times and ratios to G_r. Scenes find "
+        "its `PRESETS` by name. Harmonic solutions use G(s). Steppers and reduced models use the series, and stated "
+        "errors include its difference from G(s), rms over 5 to 1000 Hz.",
         LAW,
         "## Finite strain",
-        "Solver `particles` uses a compressible neo-Hookean law with the material's branches, linear at small strain "
-        "and in simple shear.",
+        "Solver `particles` uses a compressible neo-Hookean law with the branches of the material. The law is "
+        "linear at small strain and in simple shear.",
         "![finite strain](images/materials/finite_strain.png)",
         "## As printed",
-        "`palmfield_papers` has formulas that papers print wrongly, beside the right ones, in "
-        "`mizushima2024.as_printed` and `chilles2019.ecoflex`. The gel's numbers "
-        f"are not printed; here E1 {GEL_SOLID[0]:g}, E2 {GEL_SOLID[1]:g} Pa, eta3 {GEL_SOLID[2]:g} Pa s.",
+        "Two papers print formulas with errors. `palmfield_papers` has these formulas and the correct ones, in "
+        "`mizushima2024.as_printed` and `chilles2019.ecoflex`. The parameters of the gel are not printed; the "
+        f"picture uses E1 {GEL_SOLID[0]:g}, E2 {GEL_SOLID[1]:g} Pa, eta3 {GEL_SOLID[2]:g} Pa s.",
         "![as printed](images/materials/as_printed.png)",
     ]
     return "\n\n".join(blocks) + "\n"
@@ -453,7 +444,7 @@ def main() -> None:
         write("fractional", fractional_figure)
         write("as_printed", draw_as_printed())
         write("finite_strain", draw_large())
-    (ROOT / "docs" / "materials.md").write_text(page(traded, fits), encoding="utf-8")
+    PAGE.write_text(page(traded, fits), encoding="utf-8")
 
 
 if __name__ == "__main__":

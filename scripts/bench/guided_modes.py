@@ -232,16 +232,20 @@ def main() -> None:
 ROWS = ["| SNR dB | layer mm | Hz | strongest wave rad/m | bound % | answer |", "|---|---|---|---|---|---|"]
 HEAD = """# Guided mode of a scan: resolved or not
 
-`scripts/bench/guided_modes.py` fits the strongest wave ([instruments](../instruments.md#the-guided-mode)) of scans
-from another model: finite elements through the depth of a bonded layer of a fractional material, with all its waves.
-Beams at 45 degrees, grid displaced by 1 mm, 120 mm with points 5 mm apart. Seeds were drawn after the code was
-finished. An answer is wrong if a resolved wavenumber is more than 3 % from each wave of the layer, or if it is not
-that of the strongest wave and this wave carries more than 1.25 times as much.
+For developers. `scripts/bench/guided_modes.py` tests the fit of the [guided
+mode](../instruments.md#the-guided-mode) on scans from another model: finite elements through the depth of a bonded
+layer of a fractional material, with all its waves. Beams come at 45 degrees. The grid covers 120 mm with points 5
+mm apart and is displaced by 1 mm. Seeds were drawn after the code was finished.
 
-Wide: scans that are wide and fine enough for their strongest wave. Noise: wide scans whose Cramer-Rao bound of the
-strongest wavenumber is above 1.3 %, which prevents an answer. 34 dB correspond to 25 times as many averages. Layers
-without a travelling wave are omitted. Others: further resolved waves. Not resolved: of the wide ones without noise. s:
-median time. {link} has each scan of the first seed.
+- Wide: scans that are wide and fine enough for their strongest wave. Layers without a travelling wave are omitted.
+- Wrong: the resolved wavenumber is more than 3 % from each wave of the layer. Or it belongs to a weaker wave, although
+  the strongest wave carries more than 1.25 times as much.
+- Others: more waves that were resolved.
+- Noise: wide scans whose noise prevents an answer (Cramer-Rao bound of the wavenumber above 1.3 %).
+- Not resolved: share of the wide scans without such noise.
+
+The last column is the median time. 34 dB correspond to 25 times as many averages as 20 dB. {link} has each scan of
+the first seed.
 
 | draw | scans | wide | resolved (wide) | error [%]: median, largest | others | wrong | noise | not resolved | s |
 |---|---|---|---|---|---|---|---|---|---|

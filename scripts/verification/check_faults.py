@@ -99,8 +99,8 @@ CASES: list[tuple[str, Callable[[], tuple[str, Outcome]]]] = [
 ]
 HEAD = """# Faults
 
-Faults of the line, the host and its processes, on a virtual SonicSurface with 88 new frames a second. "Torn": frames
-played with another number of bytes than a frame has.
+For everyone who drives hardware. Faults of the line, the host and its processes were caused on purpose, on a
+virtual SonicSurface with 88 new frames a second. A torn frame is one that was played with a wrong number of bytes.
 
     python scripts/verification/check_faults.py --write docs/bench/faults.md
 

@@ -165,7 +165,7 @@ def goals(rows: list[Verdict], peers: dict[str, int]) -> list[str]:
         ("truths by scikit-fem", ">= 30", str(sum(peers.values()))),
         ("the same in the family that has fewest", ">= 2", str(min(peers.values()))),
     ]
-    return ["| of `auto` | goal | found |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in cells)]
+    return ["| solver `auto` | goal | result |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in cells)]
 
 
 def write_report(
@@ -236,7 +236,7 @@ def write_report(
         "",
         f"![True error against time of each solver]({picture.name})",
         "",
-        "## Truths that contradict one another",
+        "## References that contradict one another",
         "",
         *([f"- {line}" for line in contradictions(drawn, truths)] or ["None."]),
         "",

@@ -25,29 +25,32 @@ MORE: dict[str, tuple[str, dict[str, object]]] = {
 }
 HEAD = """# Invariants
 
-Made by `python scripts/verification/invariants.py`, commit {commit}; do not edit. {scenes} scenes, {steps} steps each
-(moving scenes from a quarter of their time on, or from when something is felt), CPU. Each scene is written in
-another form and must give the same results:
+For developers. Made by `python scripts/verification/invariants.py`, commit {commit}; do not edit. {scenes} scenes were
+stepped {steps} times each on a CPU (moving scenes from a quarter of their time on, or from the first force on). Each
+scene is written in another form and must give the same results. The forms are:
 
-- shifted by (0.31, -0.17, 0.23) m; turned with gravity and motions, by 90 degrees about z, with exchanged axes, or by
-  78 degrees about a skew axis with that shift; mirrored (the other hands; y reversed without a hand);
-- other order of plugins, instances and sensors; transducers from a CSV file, in their order and in reverse;
-- p0 x 2: everything four times as large (unchanged if the stimulus sets the level); step / 2: half the MuJoCo step;
-- two worlds, the second with a displaced stimulus, each compared with a single run.
+- shifted by (0.31, -0.17, 0.23) m.
+- turned, with gravity and motions: by 90 degrees about z, with exchanged axes, or by 78 degrees about a skew axis
+  with that shift.
+- mirrored: with the other hand, or without a hand with y reversed.
+- other order of plugins, instances and sensors; transducers from a CSV file, in their order and in reverse order.
+- p0 x 2: all results four times as large, or unchanged if the stimulus sets the level.
+- step / 2: half of the MuJoCo step.
+- two worlds, the second with a displaced stimulus; each is compared with a single run.
 
-Changes are ||changed - own|| / ||own|| over all nodes and steps, the largest of the skins of a scene.
+A change is ||changed - original|| / ||original|| over all nodes and steps.
 """
 LAST = """## Limits
 
-ARP and force: single precision ({rounding:g}; p0 x 2: {p0:g}). Displacement: a tenth of the error that modes or reduced
-model state; without these, of the key `accuracy`. {over} `tests/test_invariants.py` applies the same limits to smaller
-scenes. More is allowed for
+The limit for ARP and force is single precision ({rounding:g}, and {p0:g} for p0 x 2). The limit for displacement is a
+tenth of the stated error of modes or reduced model; without these, a tenth of key `accuracy`. {over}
+`tests/test_invariants.py` applies the same limits to smaller scenes. More is allowed for
 
-- step / 2 (up to the `accuracy`): MuJoCo's integrator is of first order in the step;
-- follow_fingertip, turned and shifted: a scripted motion is a monotone cubic in each axis of the file
+- step / 2 (up to the `accuracy`), because MuJoCo's integrator is of first order in the step;
+- follow_fingertip, turned and shifted, because a scripted motion is a monotone cubic in each axis of the file
   ([motion](../motion.md)), so this hand is {apart_mm:.2f} mm elsewhere;
-- mirrored discs: rounding decides diagonals between four nodes on one circle. Up to {elsewhere:.2g} % of the nodes lie
-  elsewhere; the others are compared, to a tenth of the `accuracy`.
+- mirrored discs, because rounding decides the diagonals between four nodes on one circle. Up to {elsewhere:.2g} % of
+  the nodes then have other positions; the others are compared, to a tenth of the `accuracy`.
 """
 
 
@@ -129,8 +132,10 @@ def page(
         for variant, (value, label) in most.items():
             largest[variant].append(f"{value:.2g} ({label})" if value else "0")
     lines += [
-        f"The largest change of all scenes; {', '.join(links)} have each scene. Displacement in percent of the error "
-        "that modes or reduced model state; forces relative to the largest of a body.",
+        "The table has the largest change of all scenes. Displacement is in percent of the stated error of the modes "
+        "or of the reduced model. Forces are relative to the largest force of a body. Files have the changes of each "
+        "scene: "
+        f"{', '.join(links)}.",
         "",
         "| form | displacement [%] | ARP at the skin's nodes | mean force |",
         "|---|---|---|---|",

@@ -121,32 +121,35 @@ def page(seed: int, rows: list[dict[str, Any]], out: Path) -> str:
     ratios = [row["measured_s"] / row["predicted_s"] for row in rows]
     own = "python scripts/verification/solver_costs.py"
     lines = [
-        "# What a skin solver takes, predicted and measured",
+        "# Predicted and measured time of skin solvers",
+        "",
+        "For developers of solvers.",
         "",
         f"    {own} --seed {seed} --count {len(rows)} --rows ROWS.jsonl",
         f"    {own} --seed {seed} --rows ROWS.jsonl --out docs/bench/skin_costs.md",
         "",
-        f"Commit {commit}. Random problems of {len(KINDS)} kinds, each given to `palmfield.skin.solve`, solver `auto`. "
-        "Predicted: for the chosen solver (`choices`). Measured: seconds of the process in one thread for the whole "
-        f"call, with finer repetitions, stopped after {LONGEST_S:g} s, scaled by a yardstick ({YARDSTICK_S:g} s on the "
-        f"machine of the predictions). Other work ran. One case of each kind of seed {seed + 1} loads kernels before.",
+        f"Commit {commit}. `palmfield.skin.solve` with solver `auto` solved random problems of {len(KINDS)} kinds. The "
+        "predicted time is that of `choices` for the chosen solver. The measured time is the processor time of the "
+        f"whole call in one thread, including finer repetitions, stopped after {LONGEST_S:g} s. It is scaled by a "
+        f"yardstick ({YARDSTICK_S:g} s on the machine of the predictions). Other work ran. One case of each kind of "
+        f"seed {seed + 1} loaded the kernels before.",
         "",
-        f"**Within a factor of 2: {within(ratios, 2.0)} of {len(rows)} (goal 90 %); of 3: {within(ratios, 3.0)}; of 5: "
-        f"{within(ratios, 5.0)}; median of measured / predicted {np.median(ratios):.2f}.**",
+        f"**{within(ratios, 2.0)} of {len(rows)} predictions are within a factor of 2 (goal 90 %), "
+        f"{within(ratios, 3.0)} within 3, and {within(ratios, 5.0)} within 5. The median of measured / predicted is "
+        f"{np.median(ratios):.2f}.**",
         "",
-        "How often a target accuracy makes a solver refine is not predictable (up to four solutions; a likely second "
-        "one is in the cost). Wrong are mainly wedges and reduced models under a held edge and on thin sheets, and the "
-        "search for a bulk modulus on layers (up to 1 s).",
+        "It cannot be predicted how often a solver must refine to reach the target accuracy (up to four solutions; a "
+        "likely second one is in the prediction). Most errors are of wedges and reduced models under a fixed edge "
+        "and on thin sheets, and of the search for a bulk modulus on layers (up to 1 s).",
         "",
-        "| kind | cases | within 2 | within 3 | median measured / predicted |",
+        "| solver | cases | within 2 | within 3 | median measured / predicted |",
         "|---|---|---|---|---|",
     ]
-    for key in ("kind", "solver"):
+    kinds = ["| kind | cases | within 2 | within 3 | median measured / predicted |", ""]
+    for key, part in (("kind", kinds), ("solver", lines)):
         for name in sorted({row[key] for row in rows}):
             some = [ratio for ratio, row in zip(ratios, rows, strict=True) if row[key] == name]
-            lines.append(
-                f"| {name} | {len(some)} | {within(some, 2.0)} | {within(some, 3.0)} | {np.median(some):.2f} |"
-            )
+            part.append(f"| {name} | {len(some)} | {within(some, 2.0)} | {within(some, 3.0)} | {np.median(some):.2f} |")
     table = ["| case | kind | solver | accuracy | predicted [s] | measured [s] | ratio |", ""]
     for row, ratio in zip(rows, ratios, strict=True):
         if 1 / 3 <= ratio <= 3:
@@ -154,7 +157,11 @@ def page(seed: int, rows: list[dict[str, Any]], out: Path) -> str:
         took = f"{row['measured_s']:.2g}" + (" (stopped)" if row["words"].startswith("stopped") else "")
         cells = (row["number"], row["kind"], row["solver"], f"{row['accuracy']:.2g}", f"{row['predicted_s']:.2g}", took)
         table.append("| " + " | ".join(map(str, cells)) + f" | {ratio:.2f} |")
-    lines += ["", f"Cases outside a factor of 3: {keep_rows(out, table)}."]
+    by_kind = keep_rows(out, kinds, f"{out.stem}_kinds")
+    lines += [
+        "",
+        f"{by_kind} has the same by kind of problem, and {keep_rows(out, table)} the cases outside a factor of 3.",
+    ]
     return "\n".join(lines) + "\n"
 
 
