@@ -222,7 +222,7 @@ def _read(path: Path, key: str) -> Arrays | None:
             answer = {name: archive[name] for name in archive.files}
         found, content = answer.pop(MARKS).tolist()
         if found != key:
-            raise ValueError("the file holds the result of another key")
+            raise ValueError("the file contains the result of another key")
         if content != digest(answer):
             raise ValueError("its arrays differ from those that were written")
         os.utime(path)

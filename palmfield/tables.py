@@ -70,7 +70,7 @@ def _npz(file: Path) -> tuple[dict[str, Float], list[str]]:
             try:
                 columns[name] = np.asarray(archive[name], dtype=np.float64)
             except ValueError:
-                raise SceneError(f"{file}: column {name} does not hold numbers; give numbers") from None
+                raise SceneError(f"{file}: column {name} does not contain numbers; give numbers") from None
     shapes = {values.shape for values in columns.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 1:
         listed = ", ".join(f"{name} {values.shape}" for name, values in columns.items())

@@ -181,7 +181,7 @@ def test_another_scenes_entries_under_a_scenes_names_change_nothing(place):
         for mine in own.get(kind, ()):
             mine.write_bytes(path.read_bytes())
     build._models.clear()  # in which a process keeps its latest scenes
-    with pytest.warns(RuntimeWarning, match="the file holds the result of another key"):
+    with pytest.warns(RuntimeWarning, match="the file contains the result of another key"):
         again = results("ecoflex_00-10", (0, 0, 0.2), 200.0)
     np.testing.assert_array_equal(again, expected)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 cache = group(
     "cache",
     "List or clear the cache of reduced skin models and error estimates. It lies in the user's cache folder or in "
-    "PALMFIELD_CACHE (off: no cache) and holds up to PALMFIELD_CACHE_MB [2048].\n\nExample: palmfield cache list",
+    "PALMFIELD_CACHE (off: no cache) and contains up to PALMFIELD_CACHE_MB [2048].\n\nExample: palmfield cache list",
 )
 
 
@@ -53,7 +53,7 @@ def _entries() -> tuple[Path, list["Entry"]]:
 
     where = disk.folder()
     if where is None:
-        print("nothing is kept: PALMFIELD_CACHE is off")
+        print("there is no cache, because PALMFIELD_CACHE is off")
         raise typer.Exit()
     return where, disk.entries()
 

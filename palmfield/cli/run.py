@@ -94,7 +94,7 @@ def run(
         if hasattr(error, "result"):
             complain(f"interrupted; the partial results are in {out}; `palmfield recover {out}` draws their plots")
         else:
-            old = f"; {out} holds the results of an earlier run" if out.exists() else ""
+            old = f"; {out} contains the results of an earlier run" if out.exists() else ""
             complain(f"interrupted before the first step{old}")
         raise typer.Exit(130) from None
     if as_json:

@@ -31,7 +31,7 @@ def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
         return rows
     silent = [one["what"] for one in budget["left_out"] if one["low"] is None]
     texts = [f"{one['what']} {bias_text(one['low'], one['high'])}" for one in _significant(budget)]
-    rows.append(("error, left out", "; ".join([*texts, f"not estimated: {', '.join(silent)}"])))
+    rows.append(("error, not modelled", "; ".join([*texts, f"not estimated: {', '.join(silent)}"])))
     ranges = [f"{one['what']} x {one['low']:.2g} to x {one['high']:.2g}" for one in _ranges(budget)]
     unknown = [one["what"] for one in budget["inputs"] if one["low"] is None]
     rest = [f"not propagated: {', '.join(unknown)}"] if unknown else []

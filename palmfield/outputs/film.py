@@ -102,7 +102,7 @@ def _times(result: xr.DataTree, cut: Cut) -> Float:
     """Return the times of frames [s]."""
     all_times: Float = np.asarray(result.coords["time"])
     if len(all_times) < 2:
-        raise OutputError("the result holds fewer than two times; run for longer")
+        raise OutputError("the result contains fewer than two times; run for longer")
     start = float(all_times[0]) if cut.start_s is None else cut.start_s
     end = float(all_times[-1]) if cut.end_s is None else cut.end_s
     if not all_times[0] <= start < end <= all_times[-1]:
@@ -123,12 +123,12 @@ def _times(result: xr.DataTree, cut: Cut) -> Float:
 def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
     skins = {name: skin for name, skin in instances(result, "skin").items() if has_records(skin, "displacement")}
     if not skins or not instances(result, "array"):
-        raise OutputError("the result holds no displacement of a skin, or no array; run at least one step with both")
+        raise OutputError("the result contains no displacement of a skin, or no array; run at least one step with both")
     most = max(float(extremes(skin).peak.max()) for skin in skins.values())
     magnify = cut.magnify if cut.magnify is not None else rounded_down(SEEN_M / most) if most > 0.0 else 1.0
     lacking = [name for name, skin in skins.items() if not has_records(skin, cut.shown)]
     if lacking:
-        raise OutputError(f"the result holds no {cut.shown} of skin '{lacking[0]}'; give another quantity by --show")
+        raise OutputError(f"the result contains no {cut.shown} of skin '{lacking[0]}'; give another quantity by --show")
     if cut.shown == "arp":
         top, unit = max(float(skin["arp"].max()) for skin in skins.values()), "Pa"
         low, colours = 0.0, colormaps["magma_r"](np.linspace(0.05, 0.85, 256))

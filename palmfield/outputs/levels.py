@@ -34,7 +34,7 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
     chosen, sounding = _one(result, "skin", skin), _one(result, "stimulus", stimulus)
     data = instances(result, "skin")[chosen]
     if not has_records(data, "displacement"):
-        raise OutputError(f"skin '{chosen}' holds no displacement; run at least one step with the skin first")
+        raise OutputError(f"skin '{chosen}' contains no displacement; run at least one step with the skin first")
     config = keys_of(ResolvedStimulus, sounding, instances(result, "stimulus")[sounding])
     times = data["time"].values.astype(float)
     begin, end = steady_stretch_s(config)
@@ -101,7 +101,7 @@ def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
     refuse_unknown(OutputError, "observer {} is unknown", observer, OBSERVERS)
     data = instances(result, "skin")[skin]
     if not has_records(data, "displacement"):
-        raise OutputError(f"skin '{skin}' holds no displacement")
+        raise OutputError(f"skin '{skin}' contains no displacement")
     lines, times = set[float](), data["time"].values.astype(float)
     for name, stimulus in instances(result, "stimulus").items():
         config = keys_of(ResolvedStimulus, name, stimulus)
@@ -116,6 +116,6 @@ def _one(result: xr.DataTree, kind: str, name: str | None) -> str:
     if name is None and len(names) == 1:
         return names[0]
     if name is None:
-        raise OutputError(f"the result holds {len(names)} instances of {kind}: {', '.join(names)}; name one of them")
+        raise OutputError(f"the result contains {len(names)} instances of {kind}: {', '.join(names)}; name one of them")
     refuse_unknown(OutputError, f"{kind} {{}} is unknown", name, names)
     return name

@@ -43,9 +43,9 @@ def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s
     panels = {name: _pressures(skin, instants[name], time_s is not None) for name, skin in shown.items()}
     skins = {name: skin for name, skin in shown.items() if panels[name]}
     if not skins:
-        raise OutputError("the result holds neither loudest_pressure nor arp; run at least one step before plotting")
+        raise OutputError("the result contains neither loudest_pressure nor arp; run at least one step before plotting")
     if not instances(result, "array"):
-        raise OutputError("the result holds no array, whose frame the plot needs; keep the groups /array")
+        raise OutputError("the result contains no array, whose frame the plot needs; keep the groups /array")
     views = {name: view_of_skin(result, name, skin, instants[name]) for name, skin in skins.items()}
     foci = _foci_of_skins(result)
     columns = max(len(panels[name]) for name in skins)
@@ -73,7 +73,7 @@ def plot_displacement(result: xr.DataTree, path: Path) -> None:
     """
     skins = {name: skin for name, skin in instances(result, "skin").items() if has_records(skin, "displacement")}
     if not skins:
-        raise OutputError("the result holds no displacement; run at least one step with the skin first")
+        raise OutputError("the result contains no displacement; run at least one step with the skin first")
     with style():
         figure = Figure(figsize=(8.0 * len(skins), 6.0), dpi=DPI, layout="constrained")
         budgets = json.loads(result.attrs.get("error_budget", "{}"))

@@ -106,7 +106,7 @@ def _scene(result: xr.DataTree) -> Scene:
     painted = [name for name in skins if name in surfaces and has_records(surfaces[name], "loudest_pressure")]
     if not painted or not arrays:
         lacking = "array" if painted else "surface with loudest_pressure"
-        raise OutputError(f"the result holds no {lacking}; run with the whole surface to render the scene")
+        raise OutputError(f"the result contains no {lacking}; run with the whole surface to render the scene")
     time_s = max((loud[name] for name in painted), key=lambda one: one.arp_Pa).time_s
     shown: list[tuple[trimesh.Trimesh, Float]] = []
     for names in bodies(result).values():

@@ -21,7 +21,7 @@ def driven_arrays(result: xr.DataTree) -> dict[str, xr.Dataset]:
     listed = instances(result, "array").items()
     arrays = {name: array for name, array in listed if has_records(array, "drive_amplitude")}
     if not arrays:
-        raise OutputError("the result holds no drives of an array; run at least one step")
+        raise OutputError("the result contains no drives of an array; run at least one step")
     return arrays
 
 

@@ -90,8 +90,8 @@ class _Blocks:
                 expected = known_names.setdefault((path, dim), names) if names else names
                 if names != expected:
                     raise OutputError(
-                        f"a block holds {', '.join(sorted(names))} of '{path}' along '{dim}', but earlier blocks "
-                        f"held {', '.join(sorted(expected))}: give the same variables in every block"
+                        f"a block contains {', '.join(sorted(names))} of '{path}' along '{dim}', but earlier blocks "
+                        f"contained {', '.join(sorted(expected))}: give the same variables in every block"
                     )
         self._sizes, self._last, self._names = sizes, last, known_names
         return {path: {n: np.array(a) for n, a in variables.items()} for path, variables in checked.items()}
@@ -101,13 +101,13 @@ def refuse_occupied(out: Path, overwrite: bool) -> None:
     """Raise OutputError for a folder with an unfinished run or, without `overwrite`, with results of another run."""
     if (out / ".partial").is_dir():
         raise OutputError(
-            f"{out} holds an unfinished run, or one that is still running; use `palmfield recover {out}` first, or "
+            f"{out} contains an unfinished run, or one that is still running; use `palmfield recover {out}` first, or "
             "choose another folder"
         )
     present = [name for name in (RESULT, *DERIVED) if (out / name).exists()]
     if present and not overwrite:
         raise OutputError(
-            f"{out} holds {', '.join(present)} of another run; choose another folder, or replace the files with "
+            f"{out} contains {', '.join(present)} of another run; choose another folder, or replace the files with "
             "--overwrite (overwrite=True)"
         )
 
@@ -234,7 +234,7 @@ def recover(out: Path) -> Path:
     out = Path(out)
     partial = out / ".partial"
     if not partial.is_dir():
-        raise OutputError(f"{out} holds no unfinished run (it has no .partial folder); give the folder of the run")
+        raise OutputError(f"{out} contains no unfinished run (it has no .partial folder); give the folder of the run")
     _, attributes = _static(partial)
     finished = read_attributes(out / RESULT)
     if finished is not None and finished.get("run_id") == attributes["/"]["run_id"]:

@@ -9,10 +9,10 @@ import numpy as np
 from palmfield.types import Float
 
 LOSSES = (
-    ("late_Pa", "wanted_Pa", "left by latency", "C0"),
-    ("rounded_Pa", "late_Pa", "kept by the board", "C1"),
-    ("heard_Pa", "rounded_Pa", "left by calibration", "C2"),
-    ("heard_Pa", "wanted_Pa", "left in all", "k"),
+    ("late_Pa", "wanted_Pa", "after latency", "C0"),
+    ("rounded_Pa", "late_Pa", "after rounding", "C1"),
+    ("heard_Pa", "rounded_Pa", "after calibration", "C2"),
+    ("heard_Pa", "wanted_Pa", "total", "k"),
 )
 
 
@@ -42,7 +42,7 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
     error.set_ylabel("distance of the focus from the hand [mm]")
     error.legend(loc="upper right", fontsize=8)
     for number, (after, before, label, colour) in enumerate(LOSSES):
-        if label == "left by calibration" and numbers.get("kept_calibration") is None:
+        if label == "after calibration" and numbers.get("kept_calibration") is None:
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
             share = column[after] / column[before]

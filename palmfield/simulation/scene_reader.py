@@ -285,7 +285,7 @@ def _check_still(
         board = model.ancestors(model.site_body(site))
         apart = [body for skin in skins for body in model.ancestors(skin.body) ^ board]
         if scripted or any(map(model.can_move, apart)):
-            raise refused(array, "the body can move against the array", "a body without joints, mocap and motion")
+            raise refused(array, "the body can move relative to the array", "a body without joints, mocap and motion")
 
 
 def _check_presets(config: SkinConfig, element: str) -> None:
@@ -348,12 +348,12 @@ def am_table_of(config: StimulusConfig, element: str) -> "AmTable | None":
         return table
     if table.of == "period":
         raise SceneError(
-            f"{element}: key 'am_file' has value '{config.am_file}', which holds one period (column turn); "
+            f"{element}: key 'am_file' has value '{config.am_file}', which contains one period (column turn); "
             "am_frequency_Hz is missing; give its repetition frequency"
         )
     raise SceneError(
-        f"{element}: key 'am_frequency_Hz' has value '{config.am_frequency_Hz:g}', but '{config.am_file}' holds a "
-        "course in seconds (column time_s); remove am_frequency_Hz, or give a period (column turn)"
+        f"{element}: key 'am_frequency_Hz' has value '{config.am_frequency_Hz:g}', but '{config.am_file}' has "
+        "times in seconds (column time_s); remove am_frequency_Hz, or give a period (column turn)"
     )
 
 

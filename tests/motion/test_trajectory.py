@@ -111,7 +111,7 @@ def test_wrong_files_are_refused(tmp_path, median):
     with pytest.raises(SceneError, match="arrays of one length"):
         read_trajectory(tmp_path / "ragged.npz", median)
     np.savez(tmp_path / "object.npz", time_s=np.array([{}, {}], dtype=object))
-    with pytest.raises(SceneError, match="column time_s does not hold numbers"):
+    with pytest.raises(SceneError, match="column time_s does not contain numbers"):
         read_trajectory(tmp_path / "object.npz", median)
     columns = {name: np.zeros(2) for name in HEADER.split(",")} | {"time_s": np.arange(2.0), "qw": np.ones(2)}
     np.savez(tmp_path / "lost.npz", **columns | {"y_m": np.array([0.0, np.nan])})

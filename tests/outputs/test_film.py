@@ -144,5 +144,5 @@ def test_words_fit_into_a_narrow_film(result, tmp_path):
 def test_a_film_of_what_was_not_recorded_is_refused(whole, keep, tmp_path):
     arrays = keep(whole, ("palm",), ("below",), ())
     arrays["/skin/palm"] = {name: values for name, values in arrays["/skin/palm"].items() if name != "arp"}
-    with pytest.raises(OutputError, match="holds no arp of skin 'palm'"):
+    with pytest.raises(OutputError, match="contains no arp of skin 'palm'"):
         film(tree(arrays), tmp_path / "e.mp4", Cut(shown="arp", size=SMALL))

@@ -205,7 +205,7 @@ def test_what_is_wrong_in_a_mat_is_named(tmp_path):
         ({"displacement_m": one.values}, "has velocity_m_s and displacement_m"),
         ({"points_m": None}, "has no variable 'points_m'"),
         ({"points_m": one.points[:2]}, "give shapes"),
-        ({"velocity_m_s": one.values + 1j}, "velocity_m_s does not hold real numbers"),
+        ({"velocity_m_s": one.values + 1j}, "velocity_m_s has values that are not real numbers"),
     ):
         savemat(tmp_path / "a.mat", {name: value for name, value in (good | change).items() if value is not None})
         with pytest.raises(MeasurementError, match=words):
@@ -272,7 +272,7 @@ def test_what_isnt_known_in_polytecs_text_is_refused(tmp_path, old, new, words):
 
 
 def test_polytecs_folders_without_files_or_places_are_refused(tmp_path):
-    with pytest.raises(MeasurementError, match=r"holds no \.txt files"):
+    with pytest.raises(MeasurementError, match=r"contains no \.txt files"):
         read_scan(tmp_path)
     polytec(tmp_path)
     (tmp_path / "places.csv").write_text("point,x_m,y_m\n5,0,0\n")

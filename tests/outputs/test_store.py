@@ -174,7 +174,7 @@ def test_blocks_that_do_not_go_on_from_earlier_ones_are_refused(tmp_path):
     target.append(_times(0.0, 1.0) | {"/skin/p": {"arp": np.zeros((2, 4), np.float32)}})
     with pytest.raises(OutputError, match="length 3 along 'vertex', but the result has 4"):
         target.append(_times(2.0, 3.0) | {"/skin/p": {"arp": np.zeros((2, 3), np.float32)}})
-    with pytest.raises(OutputError, match="earlier blocks held arp"):
+    with pytest.raises(OutputError, match="earlier blocks contained arp"):
         target.append(_times(2.0, 3.0) | {"/skin/p": {"displacement": np.zeros((2, 4, 3), np.float32)}})
     for times in ((3.0, 3.0), (1.0, 2.0)):
         with pytest.raises(OutputError, match="'time' does not rise"):

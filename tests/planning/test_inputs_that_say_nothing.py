@@ -407,7 +407,7 @@ def test_ctrl_c_while_preparing_leaves_the_old_run_and_says_so(small_scene, pyth
     monkeypatch.setattr("palmfield.session.recorded_run.static_arrays", interrupted)
     assert typed(["run", str(path), "--out", str(out), "--overwrite", "--quiet"], monkeypatch) == 130
     said = capsys.readouterr().err
-    assert f"interrupted before the first step; {out} holds the results of an earlier run" in said
+    assert f"interrupted before the first step; {out} contains the results of an earlier run" in said
     assert "recover" not in said and [file.name for file in out.iterdir()] == ["summary.json"]
 
 

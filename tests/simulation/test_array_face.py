@@ -183,7 +183,7 @@ def test_what_images_do_not_follow_is_refused(fixed_scene, changes, why):
 
 
 def test_a_body_on_a_joint_is_refused(small_scene):
-    with pytest.raises(SceneError, match=r"can move against the array.*absorbing"):
+    with pytest.raises(SceneError, match=r"can move relative to the array.*absorbing"):
         palmfield.load(small_scene(array=RIGID))
 
 

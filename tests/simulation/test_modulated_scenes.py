@@ -96,7 +96,7 @@ BAD_FILES = {
     "turn,level\n0,0\n0.2,1\n": "columns are turn, level; give turn and w, or time_s and w",
     "turn,w\n0,0\n": "1 rows; allowed: 2 to 10000",
     "turn,w\n0,-1\n0.5,-1\n": "column w: all values are -1",
-    "time_s,w\n0,0\n0.1,1\n": "'wave.csv' holds a course in seconds (column time_s); remove am_frequency_Hz",
+    "time_s,w\n0,0\n0.1,1\n": "'wave.csv' has times in seconds (column time_s); remove am_frequency_Hz",
 }
 
 
@@ -114,7 +114,7 @@ def test_a_missing_file_and_a_period_without_frequency(small_scene):
     with pytest.raises(SceneError, match=r"key 'am_file': .*none\.csv"):
         compiled(path)
     keys = {"am_waveform": "file", "am_file": "wave.csv", "am_frequency_Hz": None}
-    with pytest.raises(SceneError, match=r"which holds one period \(column turn\); am_frequency_Hz is missing"):
+    with pytest.raises(SceneError, match=r"which contains one period \(column turn\); am_frequency_Hz is missing"):
         compiled(written(small_scene(stimulus=keys)))
 
 
@@ -202,7 +202,7 @@ def test_a_level_that_jumps_on_a_path_is_left_to_others(small_scene):
         ({"am_waveform": "rectangle", "am_waveform_duty": 0.5}, "the level jumps in each period of the modulation"),
         (
             {"am_waveform": "file", "am_file": "course.csv", "am_frequency_Hz": None},
-            "a path that runs once, or a course from a file do not repeat",
+            "a path that runs once, or values from a file are not periodic",
         ),
     ):
         scene = fixed(small_scene(stimulus=path | changes, skin=SKIN))

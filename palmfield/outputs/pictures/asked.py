@@ -118,7 +118,7 @@ def chosen_skin(result: xr.DataTree, asked: Asked, variable: str) -> tuple[str, 
     skins = instances(result, "skin")
     held = {name: skins[name] for name in chosen_names(result, asked) if has_records(skins[name], variable)}
     if not held:
-        raise OutputError(f"the result holds no {variable} of a skin; run at least one step with it")
+        raise OutputError(f"the result contains no {variable} of a skin; run at least one step with it")
     return next(iter(held.items()))
 
 

@@ -38,7 +38,7 @@ def read_mat(file: Path) -> Scan:
             raise MeasurementError(f"{file}: has no variable '{name}'; give {', '.join(KNOWN)}")
     for name in KNOWN:
         if name in found and (np.asarray(found[name]).dtype.kind not in "fiu"):
-            raise MeasurementError(f"{file}: variable {name} does not hold real numbers")
+            raise MeasurementError(f"{file}: variable {name} has values that are not real numbers")
     arrays = {name: np.asarray(found[name], dtype=float) for name in KNOWN if name in found}
     times_s, points, values = arrays["time_s"].ravel(), arrays["points_m"], arrays[there[0]]
     return Scan(VALUES[there[0]], times_s, points, values, arrays.get("sights"), file.name)

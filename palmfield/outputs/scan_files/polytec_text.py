@@ -53,7 +53,7 @@ def read_polytec(folder: Path) -> Scan:
     """
     files = sorted(folder.glob("*.txt"))
     if not files:
-        raise MeasurementError(f"{folder}: holds no .txt files; give a folder of one text file for each point")
+        raise MeasurementError(f"{folder}: contains no .txt files; give a folder of one text file for each point")
     places, sights = _places(folder / PLACES)
     points = [_point(file) for file in files]
     first = points[0]
@@ -62,7 +62,7 @@ def read_polytec(folder: Path) -> Scan:
             raise MeasurementError(f"{file}: belongs to point {one.number}, but {PLACES} has no line for it")
         if one.quantity != first.quantity:
             raise MeasurementError(
-                f"{file}: holds {one.quantity}, but {files[0].name} holds {first.quantity}; give files of one quantity"
+                f"{file}: contains {one.quantity}, {files[0].name} {first.quantity}; give files of one quantity"
             )
         if one.times_s.shape != first.times_s.shape or np.abs(one.times_s - first.times_s).max() > 1e-9:
             raise MeasurementError(f"{file}: its times differ from those of {files[0].name}; give equal times")
@@ -90,7 +90,7 @@ def _places(file: Path) -> tuple[dict[int, Float], dict[int, Float] | None]:
             raise MeasurementError(f"{file}: has no column '{name}'{did_you_mean(name, columns)}")
     numbers = columns["point"]
     if not np.array_equal(numbers, np.round(numbers)) or len(np.unique(numbers)) < len(numbers):
-        raise MeasurementError(f"{file}: column point must hold whole numbers, each once")
+        raise MeasurementError(f"{file}: column point must contain whole numbers, each once")
 
     def by_number(names: tuple[str, ...]) -> dict[int, Float]:
         table = np.column_stack([columns[name] for name in names])

@@ -49,7 +49,7 @@ def _sets(file: Path) -> list[dict[str, Any]]:
         text = reason_of(error, LONGEST_PATH)
         raise MeasurementError(f"{file}: cannot be read as UFF: {text}; give a UFF file") from None
     if not found:
-        raise MeasurementError(f"{file}: holds no data sets 15, 2411 or 58; give a UFF file of a scan")
+        raise MeasurementError(f"{file}: contains no data sets 15, 2411 or 58; give a UFF file of a scan")
     # pyuff ignores an incomplete set, so a point would be missing without a message
     if not file.read_bytes()[-TAIL:].rstrip().endswith(DELIMITER):
         raise MeasurementError(f"{file}: ends within a data set; give the complete file")

@@ -59,7 +59,7 @@ def common_choice(
     return StepperChoice(first.name, why, first.seconds, wedges_s(layer.dofs, substeps))
 
 
-@phase("reduced model, modes or whole layer")
+@phase("reduced model, modes or full wedge model")
 def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     """Return the first stepper of a skin: that of key `solver`, a reduced model for the predicted load in the
     reference pose, or the whole layer.

@@ -72,7 +72,7 @@ SETTLED = 12.0
 def refusal(skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...]) -> str | None:
     """Return why a skin cannot be reduced for these stimuli, in words, or None."""
     if skin.moves:
-        return "a script moves something in the scene"
+        return "a script moves a part of the scene"
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
     if not sounding:
         return "the stimulus is silent"
@@ -82,13 +82,13 @@ def refusal(skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...
         return None
     config = sounding[0].config
     if not repeats(config):
-        return "bursts, a path that runs once, or a course from a file do not repeat"
+        return "bursts, a path that runs once, or values from a file are not periodic"
     if level_jumps(config):
         return "the level jumps in each period of the modulation"
     if config.path == "letters" or (config.path_end == "jump" and not is_closed(config)):
         return "the focus jumps from one end of its path to the other"
     if config.path != "point" and config.control_rate_Hz > 0.0:
-        return "control_rate_Hz holds the focus at moments that do not repeat with the path"
+        return "control_rate_Hz is not synchronous with the path"
     expected = expected_vectors(sounding[0])
     if expected > MOST_VECTORS:
         return f"the focus rests at {points_a_turn(config)} points in turn, which needs about {expected} vectors"

@@ -63,7 +63,7 @@ def compare(
     """
     folder = None if out is None else Path(out)
     if folder is not None and not overwrite and any((folder / name).exists() for name in FILES):
-        raise OutputError(f"{folder} holds another comparison; give --overwrite, or another folder by --out")
+        raise OutputError(f"{folder} contains another comparison; give --overwrite, or another folder by --out")
     scan = measured if isinstance(measured, Scan) else read_scan(measured)
     settings = read_settings(instrument, Vibrometer) if isinstance(instrument, str | Path) else instrument
     with open_result(run) as result:

@@ -141,7 +141,7 @@ class LogWriter:
                 difference = f"'{logged.get(key)}', not '{head[key]}'"
                 if key == "digest":
                     difference = _difference(logged["design"], head["design"])
-                raise OutputError(f"{self.path} holds trials of another {what} ({difference}); give another --log")
+                raise OutputError(f"{self.path} contains trials of another {what} ({difference}); give another --log")
 
     def add(self, trial: Mapping[str, Any], condition: int, answered: Answered) -> None:
         """Write a trial; it is on the disk when this returns. Raises OutputError if writing fails."""

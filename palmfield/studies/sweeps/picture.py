@@ -45,7 +45,7 @@ def plot_sweep(dataset: xr.Dataset, path: Path) -> None:
     keys = swept_keys(dataset)
     available = [quantity for quantity in QUANTITIES if _finite(dataset[quantity.name])]
     if not available:
-        raise OutputError("no point of the sweep has results yet; the dataset holds the cause of each failure")
+        raise OutputError("no point of the sweep has results yet; the dataset contains the cause of each failure")
     with style():
         if "point" not in dataset.dims and len(keys) == 1:
             figure = _lines(dataset, keys[0], [*available, *MORE])

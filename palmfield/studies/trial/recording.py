@@ -115,7 +115,7 @@ def _recording(lines: list[str], name: str) -> Recording:
     if len(place) != 3 or not np.all(np.abs(place) <= 10.0):
         raise SceneError(f"place_m is '{head['place_m']}'; give three finite numbers in metres, in the array's frame")
     if begin == len(lines) or [cell.strip() for cell in lines[begin].split(",")] != ["t", "value"]:
-        raise SceneError(f"line {begin + 1} does not hold column names; give 't,value' after the head")
+        raise SceneError(f"line {begin + 1} does not contain column names; give 't,value' after the head")
     rows = [
         numbers_in(f"line {number}", ("t", "value"), line.split(","))
         for number, line in enumerate(lines[begin + 1 :], begin + 2)

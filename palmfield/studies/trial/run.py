@@ -302,7 +302,7 @@ def _folder(out: Path, overwrite: bool) -> Path:
     """Create the folder. Raises OutputError if it contains another trial or cannot be created."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not overwrite:
-        raise OutputError(f"{out} holds another trial ({there[0]}); give another folder, or --overwrite")
+        raise OutputError(f"{out} contains another trial ({there[0]}); give another folder, or --overwrite")
     return made_folder(out)
 
 

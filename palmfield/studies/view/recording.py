@@ -65,4 +65,4 @@ def next_folder(out: Path) -> Path:
         folder = out / f"recording-{number:03d}"
         if not folder.exists():
             return folder
-    raise OutputError(f"{out} holds 999 recordings; choose another folder with --out")
+    raise OutputError(f"{out} contains 999 recordings; choose another folder with --out")

@@ -66,7 +66,7 @@ def test_gain_delay_and_place_are_found_again(run, tmp_path):
     assert read_scan(tmp_path / "computed.csv").values == pytest.approx(done.computed.values)
     for words in ("registration    0.00 mm rms", "3 of 6 directions are not determined", "gain            1."):
         assert words in str(done)
-    with pytest.raises(OutputError, match="holds another comparison"):
+    with pytest.raises(OutputError, match="contains another comparison"):
         compare(run / "run", run / "scan.csv", out=tmp_path)
 
 

@@ -124,7 +124,7 @@ def test_the_same_sweep_computes_nothing_twice(whole, monkeypatch):
 )
 def test_another_sweep_in_the_folder_is_refused(design, more, said, whole):
     scene, result = whole
-    with pytest.raises(OutputError, match=f"holds another sweep: {said}"):
+    with pytest.raises(OutputError, match=f"contains another sweep: {said}"):
         swept(scene, design, result.out, **more)
     assert (result.dataset["status"] == DONE).all()
 
@@ -132,7 +132,7 @@ def test_another_sweep_in_the_folder_is_refused(design, more, said, whole):
 def test_another_scene_of_the_same_name_is_refused(small_scene, tmp_path):
     swept(small_scene(duration_s=0.002), {LEVEL: [1.0]}, tmp_path / "out")
     changed = small_scene(duration_s=0.002, skin={"thickness_m": 0.007})
-    with pytest.raises(OutputError, match="holds another sweep: its scene"):
+    with pytest.raises(OutputError, match="contains another sweep: its scene"):
         swept(changed, {LEVEL: [1.0]}, tmp_path / "out")
 
 

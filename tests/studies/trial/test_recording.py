@@ -31,7 +31,7 @@ def test_a_recording_is_read_in_its_unit(tmp_path):
         (HEAD.replace("pressure", "presure") + "t,value\n" + ROWS, "did you mean 'pressure'"),
         (HEAD.replace("# unit: kPa\n", "") + "t,value\n" + ROWS, "no '# unit: ...'"),
         (HEAD.replace("0 0 0.12", "0 0 120") + "t,value\n" + ROWS, "three finite numbers in metres"),
-        (HEAD + "time,p\n" + ROWS, "line 4 does not hold column names"),
+        (HEAD + "time,p\n" + ROWS, "line 4 does not contain column names"),
         (HEAD + "t,value\n" + ROWS.replace("0.2,", "x,").replace("0.005,", "nan,"), "line 10, column t: nan"),
         (HEAD + "t,value\n" + ROWS.replace("0.005,", "0.004,"), "t = 0.004 s comes after 0.004 s"),
         (HEAD + "t,value\n0.0,1.0\n", "1 rows; needed: 16 or more"),

@@ -168,7 +168,7 @@ def test_the_files_of_a_trial_agree(moving_scene, tmp_path):
     foci = np.array([one.focus for one in decode(out / "sent.jsonl").foci if one.sounding])
     for place in foci:
         assert np.linalg.norm(np.array([one.sounding for one in result.moments]) - place, axis=1).min() < 1e-6
-    with pytest.raises(palmfield.OutputError, match="holds another trial"):
+    with pytest.raises(palmfield.OutputError, match="contains another trial"):
         trial(moving_scene(), board="sonicsurface", skin=False, out=out)
 
 
