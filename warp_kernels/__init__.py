@@ -1,1 +1,1 @@
-"""Warp kernels and device functions. Imports warp but not palmfield."""
+"""Warp kernels and device functions. This package imports warp but not palmfield."""

@@ -1,14 +1,14 @@
 """Acoustic radiation pressure (ARP) of sound on an acoustically rigid surface. The formula is defined only here.
 
 With s = grad p/k, so that |s|^2/(rho c^2) = rho |u|^2, every law is a weighted sum of the squares of p, of s along the
-surface and of s across it, on points that are lit: into which the sound flows, Im(p* s).n < 0.
+surface and of s normal to it. It applies to lit points, where sound flows into the surface: Im(p* s).n < 0.
 """
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# In C, since `warp_kernels.transfer` uses it in a loop that LLVM must vectorise
+# In C, because `warp_kernels.transfer` uses it in a loop that LLVM must vectorise
 FORMULA = """p_re * n_im - p_im * n_re < 0.0f
     ? weights[0] * (p_re * p_re + p_im * p_im) - weights[1] * along2 + weights[2] * (n_re * n_re + n_im * n_im)
     : 0.0f"""
@@ -18,7 +18,7 @@ FORMULA = """p_re * n_im - p_im * n_re < 0.0f
 def radiation_pressure(
     p_re: wp.float32, p_im: wp.float32, n_re: wp.float32, n_im: wp.float32, along2: wp.float32, weights: wp.vec3
 ) -> wp.float32:
-    """ARP [Pa] from pressure p [Pa], s along the normal [Pa], and |s|^2 along the surface [Pa2].
+    """Return the ARP [Pa] from pressure p [Pa], s along the normal [Pa], and |s|^2 along the surface [Pa2].
 
     weights: of |p|^2, of -|s|^2 along the surface and of |s|^2 along the normal [1/Pa]
     """
@@ -27,7 +27,7 @@ def radiation_pressure(
 
 @wp.func
 def pressure_on_surface(p: wp.vec2, g_re: wp.vec3, g_im: wp.vec3, n: wp.vec3, per_wavenumber: float, weights: wp.vec3):
-    """ARP [Pa] from pressure, its gradient [Pa/m] and the unit outward normal."""
+    """Return the ARP [Pa] from pressure, its gradient [Pa/m] and the unit outward normal."""
     s_re = per_wavenumber * g_re
     s_im = per_wavenumber * g_im
     n_re = wp.dot(s_re, n)
@@ -46,7 +46,7 @@ def arp(
     weights: wp.vec3,
     result: wp.array(dtype=float),
 ):
-    """ARP [Pa] by point; per_wavenumber: 1/k [m]; weights: as `radiation_pressure`."""
+    """Compute the ARP [Pa] by point; per_wavenumber: 1/k [m]; weights: as for `radiation_pressure`."""
     i = wp.tid()
     gx = gradient[i, 0]
     gy = gradient[i, 1]
@@ -58,11 +58,11 @@ def arp(
 
 @wp.struct
 class SurfacePoints:
-    """Arguments of `surface_sound` in one struct: a recorded launch packs each argument again.
+    """Arguments of `surface_sound` in one struct, because a recorded launch packs each argument again.
 
-    count: of drives; pressure [Pa], shape (m, n), gradient [Pa/m], shape (m, n, 3), of the first ones
-    normals: unit, outward; per_wavenumber, weights: as `arp`
-    arp, amplitude: results of each drive, shape (m, n); flux: of the first one
+    count: number of drives; pressure: [Pa], shape (m, n); gradient: [Pa/m], shape (m, n, 3)
+    normals: unit, outward; per_wavenumber, weights: as for `arp`
+    arp, amplitude: results of each drive, shape (m, n); flux: result of the first drive
     """
 
     count: wp.array(dtype=wp.int32)
@@ -78,7 +78,7 @@ class SurfacePoints:
 
 @wp.kernel
 def surface_sound(at: SurfacePoints):
-    """ARP [Pa], |p| [Pa] and Im(p* grad p) [Pa2/m], the direction of energy flow, by point."""
+    """Compute ARP [Pa], |p| [Pa] and Im(p* grad p) [Pa2/m], along the energy flow, by point."""
     i = wp.tid()
     for k in range(at.count[0]):
         p = at.pressure[k, i]
@@ -95,7 +95,7 @@ def surface_sound(at: SurfacePoints):
 
 @wp.func
 def times(a: wp.vec2, b: wp.vec2):
-    """The product of two complex numbers."""
+    """Return the product of two complex numbers."""
     return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
 
 
@@ -109,7 +109,7 @@ def arp_of_sums(
     weights: wp.vec3,
     result: wp.array2d(dtype=wp.float32),
 ):
-    """ARP [Pa] of levels (m, k) @ stored fields, pressure (k, n) and gradient (k, n, 3), shape (m, n)."""
+    """Compute the ARP [Pa], shape (m, n), of levels (m, k) @ fields, pressure (k, n) and gradient (k, n, 3)."""
     i = wp.tid()
     for m in range(levels.shape[0]):
         p = wp.vec2()

@@ -1,11 +1,11 @@
-"""Double layer of the Helmholtz equation on flat triangles with one value each. All lengths are in wavelengths.
+"""Double layer of the Helmholtz equation on flat triangles with constant values. All lengths are in wavelengths.
 
 With R = y - x, d = |R| and k = 2 pi, the kernel n_y . grad_y exp(ikd)/(4 pi d) is
 n_y . R (ikd - 1) exp(ikd)/(4 pi d^3).
-Far triangles are represented by their centroid alone. The correction near a triangle is added from a sparse list: the
-static part is the triangle's solid angle (Van Oosterom & Strackee 1983, doi 10.1109/TBME.1983.325207), exact at any
-distance, and the bounded rest is summed over the points of a rule. The centroid's own term, which is unbounded, is
-softened: d^2 is |R|^2 plus a small square, in the sum and in the list's subtraction.
+Far triangles are represented by their centroids. Corrections near a triangle are added from a sparse list: the static
+part is the solid angle of the triangle (Van Oosterom & Strackee 1983, doi 10.1109/TBME.1983.325207), exact at any
+distance, and the bounded remainder is summed over quadrature points. The unbounded term of the centroid is softened:
+d^2 is |R|^2 plus a small square, in the sum and where the list subtracts it.
 """
 
 import functools
@@ -18,12 +18,12 @@ PLAIN = {"enable_backward": False, "max_unroll": 1}
 wp.set_module_options(PLAIN)
 
 FOUR_PI = wp.constant(12.566370614359172)
-NEAREST = wp.constant(1.0e-12)  # keeps 1/d finite at a point of the rule, where the rest is 0
+NEAREST = wp.constant(1.0e-12)  # keeps 1/d finite at a quadrature point, where the remainder is 0
 
 
 @functools.cache
 def far(width: int) -> wp.Kernel:
-    """Kernel of the one-point sum with `width` points per thread: 16 fill a CPU's vector registers, 1 suits a GPU."""
+    """Return the kernel of the one-point sum with `width` points per thread: 16 fill CPU registers, 1 is for GPUs."""
     lanes = wp.types.vector(length=width, dtype=wp.float32)
     # Contraction lets LLVM fuse multiply and add across Warp's function calls
     flags = {"cpu_compiler_flags": "-march=native -ffp-contract=fast", "fast_math": True}
@@ -40,7 +40,7 @@ def far(width: int) -> wp.Kernel:
         parts: int,
         result: wp.array(dtype=wp.vec2),
     ):
-        """Add to `result` by point.
+        """Add the sum to `result` by point.
 
         moments: normal times area over 4 pi
         sine, cosine: polynomials in f^2 for sin(2 pi f)/f and cos(2 pi f), |f| <= 1/2, lowest power first
@@ -91,7 +91,7 @@ def far(width: int) -> wp.Kernel:
 
 @wp.func
 def wave_factor(d: wp.float32):
-    """(ikd - 1) exp(ikd)."""
+    """Return (ikd - 1) exp(ikd)."""
     kd = TURN * d
     s = wp.sin(kd)
     t = wp.cos(kd)
@@ -100,7 +100,7 @@ def wave_factor(d: wp.float32):
 
 @wp.func
 def wave_rest(d: wp.float32):
-    """1 + (ikd - 1) exp(ikd), by its series where the difference would lose digits."""
+    """Return 1 + (ikd - 1) exp(ikd), by its series for small d, where the difference would lose digits."""
     x = TURN * d
     if x > 0.5:
         return wave_factor(d) + wp.vec2(1.0, 0.0)
@@ -113,7 +113,7 @@ def wave_rest(d: wp.float32):
 
 @wp.func
 def solid_angle(a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Solid angle of a triangle with these corners relative to the eye, positive if its normal points away from it."""
+    """Return the solid angle of a triangle with corners relative to the eye, positive if its normal points away."""
     la = wp.length(a)
     lb = wp.length(b)
     lc = wp.length(c)
@@ -130,13 +130,13 @@ def near_count(
     largest: float,
     count: wp.array(dtype=int),
 ):
-    """Number of triangles within whose reach the point is."""
+    """Count the triangles whose reach contains the point."""
     i = wp.tid()
-    found = wp.int32(0)
+    total = wp.int32(0)
     for j in wp.hash_grid_query(grid, points[i], largest):
         if wp.length(centroids[j] - points[i]) < reach[j]:
-            found += 1
-    count[i] = found
+            total += 1
+    count[i] = total
 
 
 @wp.kernel
@@ -155,9 +155,9 @@ def near_fill(
     column: wp.array(dtype=int),
     value: wp.array(dtype=wp.vec2),
 ):
-    """Columns and values of the sparse correction: the triangle's integral minus the one-point sum's term.
+    """Compute columns and values of the sparse correction: integral of the triangle minus the one-point term.
 
-    rule: three barycentric coordinates and the weight of each point
+    rule: three barycentric coordinates and the weight of each quadrature point
     softening: as in `far`
     own: the triangle whose plane contains a point, or -1; its integral is 0, as the kernel vanishes in the plane
     """
@@ -188,7 +188,7 @@ def near_apply(
     density: wp.array(dtype=wp.vec2),
     result: wp.array(dtype=wp.vec2),
 ):
-    """Add the sparse correction, one row a thread."""
+    """Add the sparse correction, one row per thread."""
     i = wp.tid()
     total = wp.vec2()
     for slot in range(start[i], start[i + 1]):

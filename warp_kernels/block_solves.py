@@ -1,6 +1,6 @@
-"""Solves with a Cholesky factor L that is kept as dense blocks of supernodes, in float64 on the CPU.
+"""Solve with a Cholesky factor L stored as dense blocks of supernodes, in float64 on the CPU.
 
-Blocks lie as in `warp_kernels.supernodes`, but hold the inverse of a supernode's own part of L and what L has below:
+Blocks are stored as in `warp_kernels.supernodes`, with the inverse of the diagonal block of L and the rows of L below:
 
     forward  y_k = L_k^-1 b_k,  b_below -= L_below y_k,    backward  x_k = L_k^-T (y_k - L_below^T x_below).
 """
@@ -18,8 +18,8 @@ wp.set_module_options(
 class Solve:
     """Supernodes of a part, from the first to the one after the last, and work arrays.
 
-    right: its right side, and its change of that of the trunk; solved: y; solution: x, shapes (n + WIDTH,)
-    work: as long as the widest supernode has unknowns
+    right: right side of the part, and its contribution to that of the trunk; solved: y; solution: x, (n + WIDTH,)
+    work: one entry per unknown of the widest supernode
     """
 
     first: wp.int32
@@ -35,7 +35,7 @@ class Solve:
 
 @wp.func
 def down(part: Solve):
-    """Forward pass."""
+    """Run the forward pass."""
     for k in range(part.first_node, part.last_node):
         size = part.nodes.size[k]
         begin = part.nodes.column[k]
@@ -63,7 +63,7 @@ def down(part: Solve):
 
 @wp.func
 def up(part: Solve):
-    """Backward pass, after the solution below is computed."""
+    """Run the backward pass, after the solution below is computed."""
     for back in range(part.last_node - part.first_node):
         k = part.last_node - 1 - back
         size = part.nodes.size[k]
@@ -107,7 +107,7 @@ def up(part: Solve):
 
 @wp.kernel
 def go_down(part: Solve):
-    """Forward pass of a branch to the trunk; its right side there begins with 0."""
+    """Run the forward pass of a branch; its contribution to the trunk begins with 0."""
     for row in range(part.last, part.right.shape[0]):
         part.right[row] = wp.float64(0.0)
     down(part)
@@ -115,7 +115,7 @@ def go_down(part: Solve):
 
 @wp.kernel
 def pass_trunk(part: Solve, one: wp.array(dtype=wp.float64), other: wp.array(dtype=wp.float64)):
-    """Both passes of the trunk; one, other: right sides of the branches."""
+    """Run both passes of the trunk; one, other: right sides of the branches."""
     for row in range(part.first, part.last):
         part.right[row] = part.right[row] + one[row] + other[row]
     down(part)
@@ -124,5 +124,5 @@ def pass_trunk(part: Solve, one: wp.array(dtype=wp.float64), other: wp.array(dty
 
 @wp.kernel
 def go_up(part: Solve):
-    """Backward pass of a branch at the end."""
+    """Run the backward pass of a branch."""
     up(part)

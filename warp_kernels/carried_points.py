@@ -1,4 +1,4 @@
-"""Points of resting surfaces moved with bodies and bones; in float64, as faces are small relative to the motion."""
+"""Move points of surfaces at rest with bodies and bones, in float64 because faces are small relative to the motion."""
 
 import warp as wp
 
@@ -7,7 +7,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Motions:
-    """Rigid motions: the i-th of world w takes x at rest to turns[w, i] @ x + shifts[w, i] [m]."""
+    """Rigid motions: motion i of world w moves x at rest to turns[w, i] @ x + shifts[w, i] [m]."""
 
     turns: wp.array2d(dtype=wp.mat33d)
     shifts: wp.array2d(dtype=wp.vec3d)
@@ -15,7 +15,7 @@ class Motions:
 
 @wp.struct
 class Carriers:
-    """For each point the numbers of up to four motions that carry it, and the share of each; shares add up to 1."""
+    """Numbers of up to four motions of each point, and their weights, which add up to 1."""
 
     motions: wp.array(dtype=wp.vec4i)
     shares: wp.array(dtype=wp.vec4d)
@@ -46,9 +46,9 @@ def carry_points(
     points: wp.array2d(dtype=wp.vec3),
     normals: wp.array2d(dtype=wp.vec3),
 ):
-    """Points [m] and unit normals, at rest `rest` and `directions`, each with the weighted mean of its motions.
+    """Compute points [m] and unit normals from `rest` and `directions` at rest, by the weighted mean of their motions.
 
-    dim: (worlds, points), as of the other kernels here
+    dim: (worlds, points), as for the other kernels here
     """
     w, i = wp.tid()
     points[w, i] = wp.vec3(place_of(carriers, motions, rest[i], w, i))
@@ -59,7 +59,7 @@ def carry_points(
 def carry_vertices(
     rest: wp.array(dtype=wp.vec3d), carriers: Carriers, motions: Motions, vertices: wp.array2d(dtype=wp.vec3)
 ):
-    """As `carry_points`, without normals."""
+    """Compute points as `carry_points`, without normals."""
     w, i = wp.tid()
     vertices[w, i] = wp.vec3(place_of(carriers, motions, rest[i], w, i))
 
@@ -74,7 +74,7 @@ def carry_faces(
     normals: wp.array2d(dtype=wp.vec3),
     areas: wp.array2d(dtype=wp.float64),
 ):
-    """Centroid [m], unit normal and area [m2] of faces whose corners are carried; no area has the normal 0."""
+    """Compute centroid [m], unit normal and area [m2] of moved faces; faces without area have the normal 0."""
     w, i = wp.tid()
     face = faces[i]
     a = place_of(carriers, motions, rest[face[0]], w, face[0])

@@ -13,11 +13,11 @@ def elimination_tree(
     parent: wp.array(dtype=wp.int32),
     below: wp.array(dtype=wp.int32),
 ):
-    """Parents in the elimination tree, -1 for a root, and numbers below the diagonal of each column of the factor.
+    """Compute parents in the elimination tree, -1 for a root, and the count below the diagonal of each factor column.
 
-    starts, columns: of the rows of the whole matrix; above: work, as long as there are rows
-    Liu, ACM Trans. Math. Softw. 12, 1986: a row of the factor is what the ways from the row's numbers to its own
-    column pass.
+    starts, columns: of the rows of the whole matrix; above: work array, one entry per row
+    A row of the factor consists of the columns on the tree paths from the entries of the row to its diagonal (Liu, ACM
+    Trans. Math. Softw. 12, 1986).
     """
     count = parent.shape[0]
     for row in range(count):

@@ -1,7 +1,7 @@
-"""Pressure of transducers and its gradient; shares parts of pressure.py.
+"""Pressure of transducers and its gradient; parts are shared with pressure.py.
 
-All lengths are in units of 1/k here: rotations into the groups' frames are k times as long, and so are elements' x, y
-and z; absorption is per radian. Then the spreading and the phase of a wave need no factor.
+All lengths are in units of 1/k: rotations into the group frames and x, y, z of elements are multiplied by k, and
+absorption is per radian. Spreading and phase of a wave then need no factor.
 """
 
 import functools
@@ -34,7 +34,7 @@ vec8 = wp.types.vector(length=8, dtype=wp.float32)
 MOST = 16
 """Largest number of drives in one call of `gradient`."""
 TILE = 16
-"""Transducers whose sound is stored for all drives, on the CPU: with their sums it fills half of the L1 cache."""
+"""Number of transducers whose sound is stored for all drives, on the CPU; with the sums it fills half the L1 cache."""
 NUMBERS = 8 * WIDTH["cpu"]
 SCRATCH = (TILE + MOST) * NUMBERS
 """Size of the work array of `gradient` on the CPU."""
@@ -47,7 +47,7 @@ SCRATCH = (TILE + MOST) * NUMBERS
 """
 )
 def keep(scratch: wp.array(dtype=wp.float32), slot: wp.int32, i: wp.int32, values: vec8):
-    """Store a transducer's sound at a point in the tile: LLVM does not vectorise Warp's own indexing."""
+    """Store the sound of a transducer at a point in the tile, in C because LLVM does not vectorise Warp's indexing."""
     ...
 
 
@@ -87,22 +87,22 @@ def add_tile(
     low: wp.int32,
     high: wp.int32,
 ):
-    """Add the tile's sound of `size` transducers from the first one, for drives from `low` up to `high`, to their sums.
+    """Add the sound of `size` transducers in the tile to the sums of drives from `low` up to `high`.
 
-    In C, with vectors for half of a thread's points: eight sums stay in registers over a tile, and are rounded by less.
+    In C, with vectors for half of the points of a thread: eight sums stay in registers over a tile, with less rounding.
     """
     ...
 
 
 @functools.cache
 def gradient(form: Form) -> Any:
-    """Kernel of the pressure and its gradient for up to MOST drives, WIDTH points a thread; dim (1, threads).
+    """Return the kernel of pressure and gradient for up to MOST drives, WIDTH points per thread; dim (1, threads).
 
     With r from transducer to point, d = |r|, q = z^2/d^2, D the directivity and S = 2 dD/dq, the gradient of
     exp(id - bd) D/d over exp(id - bd)/d is [(i - b - 1/d) D/d - q S/d^2] r + S z/d^2 along the axis.
 
-    On the CPU a thread computes all drives: a transducer's sound at a point is computed once and multiplied by each
-    drive's amplitude. On a GPU each drive has threads of its own, dim (drives, threads).
+    On the CPU a thread computes all drives: the sound of a transducer at a point is computed once and multiplied by the
+    amplitude of each drive. On a GPU each drive has its own threads, dim (drives, threads).
     """
     vec3, vec4, mat33 = form.vectors
     width = WIDTH["gpu" if form.gpu else "cpu"]
@@ -137,17 +137,16 @@ def gradient(form: Form) -> Any:
         normals: wp.array(dtype=wp.vec3),
         scratch: wp.array(dtype=wp.float32),
     ):
-        """By group: origin, rotation into its frame, and in `ranges` the first active transducer, one past the last,
-        and the same of drives active there. By transducer: x, y, 0, z.
+        """By group: origin, rotation into its frame, and in `ranges` the first active transducer and one past the last,
+        and the first active drive and one past the last. By transducer: x, y, 0, z.
 
-        drives: by drive and transducer, the first `count` are computed
-        shapes: the sound's directivity and slope; a GPU keeps an array in registers, but reloads a struct's numbers for
-        each transducer
-        fall: p0 [Pa m] times the coefficients of the fall, one vector; adds: to the values in result and rows
+        drives: by drive and transducer; the first `count` are computed
+        shapes: directivity and slope, an array because a GPU would reload the numbers of a struct for each transducer
+        fall: p0 [Pa m] times the coefficients of the decay, one vector; adds: whether to add to result and rows
         result, rows: pressure [Pa] and gradient [Pa/m] as pairs, shapes (drives, points) and (drives, points, 3)
-        weights_re, weights_im: remaining share of each transducer's sound at each point, read by the form `shaded`,
-        shape (points / BLOCK, elements, BLOCK)
-        normals: unit, outward, of opaque surfaces at the points, read by the form `faced`
+        weights_re, weights_im: share of the sound of each transducer at each point, used by the form `shaded`, shape
+            (points / BLOCK, elements, BLOCK)
+        normals: unit outward normals of opaque surfaces at the points, used by the form `faced`
         scratch: SCRATCH numbers on the CPU, where threads of a launch run in sequence
         """
         own, block = wp.tid()
@@ -257,7 +256,7 @@ def gradient(form: Form) -> Any:
                         keep(scratch, slot, i, found)
                 if not gpu:
                     slot += 1
-                    # In a fixed order, so that silent ones do not change the rounding
+                    # In a fixed order, so that silent transducers do not change the rounding
                     if (e + 1) % TILE == 0 or e == span[1] - 1:
                         add_tile(scratch, slot, drives, e + 1 - slot, begin, end)
                         slot = wp.int32(0)

@@ -1,17 +1,17 @@
 """Forces of hexahedral spectral elements: gradient, stress and its divergence, one line of nodes at a time.
 
 Unknowns and quadrature points are the (N + 1)^3 Gauss-Lobatto-Legendre nodes. With A = w J dxi/dx by node (metric 0 to
-8, row the reference direction), the weighted gradient of a field is H = A^T grad_ref. The deviatoric stress takes the
-field `w`, the pressure the field `u` or `w` (moduli). The pressure is filtered: F takes the highest Legendre polynomial
-off along each direction, so it lies in the space of order N - 1,
+8, row the reference direction), the weighted gradient of a field is H = A^T grad_ref. The deviatoric stress is computed
+from the field `w`, the pressure from the field `u` or `w` (moduli). The pressure is filtered: F removes the highest
+Legendre polynomial along each direction, so the pressure is in the space of order N - 1,
 
     p = F[ K F[J div u] / F[J] ],
 
 which is symmetric, exact for a constant dilatation on any geometry, and for N = 1 the mean dilatation (Nagtegaal, Parks
-& Rice 1974; Hughes 1980): as many constraints as a third of the unknowns, so nothing locks.
+& Rice 1974; Hughes 1980). The number of constraints is a third of the unknowns, so there is no locking.
 
-A *position* is a node of an element. On the CPU the positions of 16 elements alternate, so that one register holds the
-same node of 16 elements; on a GPU a thread block holds one or a few elements, a thread one node.
+A *position* is a node of an element. On the CPU the positions of 16 elements are interleaved, so that one register
+contains the same node of 16 elements. On a GPU a thread block has one or a few elements, and a thread one node.
 """
 
 import functools
@@ -21,19 +21,19 @@ from typing import Any
 import warp as wp
 
 LANES = 16
-"""Elements a CPU thread works on at once."""
+"""Number of elements that a CPU thread computes together."""
 
 BLOCK = 128
-"""Threads of a GPU block."""
+"""Number of threads of a GPU block."""
 
 READERS = wp.constant(128)
-"""Threads that store the readings, after those of the elements."""
+"""Number of threads, after those of the elements, that store the readings."""
 
 CPU_OPTIONS = {"cpu_compiler_flags": "-march=native -ffp-contract=fast"}
 
 
 def places(order: int, gpu: bool) -> int:
-    """Positions of an element: its nodes on the CPU, padded to a power of two on a GPU."""
+    """Return the number of positions of an element: its nodes on the CPU, padded to a power of two on a GPU."""
     nodes = (order + 1) ** 3
     return 1 << (nodes - 1).bit_length() if gpu else nodes
 
@@ -287,10 +287,10 @@ GPU_BODY_1 = Template("""
 
 @functools.cache
 def point_reading(real: Any) -> Any:
-    """Function that keeps displacement and velocity at points p = first, first + stride ... after the last step done.
+    """Return the function that stores displacement and velocity at points p = first, first + stride ... of a step.
 
-    done: steps done; slots: by step, the row of the readings, or -1
-    nodes, shares: surface nodes of a point and their shares, (p, n^2); displacement, velocity: by row and point
+    done: number of completed steps; slots: row of the readings of each step, or -1
+    nodes, shares: surface nodes of a point and their weights, (p, n^2); displacement, velocity: by row and point
     """
     vec3 = wp.types.vector(length=3, dtype=real)
 
@@ -325,15 +325,14 @@ def point_reading(real: Any) -> Any:
 
 @functools.cache
 def element_forces(order: int, real: Any, single: bool, gpu: bool) -> Any:
-    """Kernel of the elements' internal forces; LANES elements a CPU thread, a node a GPU thread (blocks of BLOCK).
+    """Return the kernel of internal forces: LANES elements per CPU thread, one node per GPU thread (blocks of BLOCK).
 
-    single: whether every element takes its pressure from `w` too, so that `u` is not read
-    Of the kernel, for E elements (padded) of Q = places(order, gpu) positions:
-    u: displacement [m], shape (nodes,); w: displacement that shears, shape (copies of nodes,)
-    conn, w_conn: by position, index into u and w; clock: one number, raised by one at each call
-    threads: of the elements; READERS more follow
-    done, slots, nodes, shares, v [m/s], displacement, velocity: see point_reading, for u is still what the last step
-    left
+    single: whether every element computes its pressure from `w`, so that `u` is not read
+    Arguments of the kernel, for E elements (padded) of Q = places(order, gpu) positions:
+    u: displacement [m], shape (nodes,); w: displacement for the shear stress, shape (copies of nodes,)
+    conn, w_conn: by position, index into u and w; clock: one number, increased by one at each call
+    threads: number of element threads, followed by READERS threads
+    done, slots, nodes, shares, v [m/s], displacement, velocity: see point_reading; u is still that of the last step
     metric: shape (11, E Q): A [m^2] (9 rows), 1 / (w J) [1/m^3] and 1 / F[J] [1/m^3]
     moduli: shape (3, E): G [Pa], K [Pa], and 1 if the pressure follows w, 0 if u
     derivative: D of the rule, (n, n); filter: top, top_weights and weights of the rule, (3 n,)

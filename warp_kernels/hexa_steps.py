@@ -1,7 +1,7 @@
-"""Around the forces of hexahedral elements: geometry, the nodes' step in time, loads, readings and the largest rates.
+"""Kernels for the steps of hexahedral elements: geometry, time step of nodes, loads, readings and largest rates.
 
-Time goes by central differences: v(+1/2) = v(-1/2) + h a, u += h v(+1/2). A Maxwell branch is held as y = u - q, which
-for u linear over the step is exactly y <- e y + c h v with e = exp(-h / tau), c = (1 - e) tau / h (c = 0 at tau = 0).
+Time integration is by central differences: v(+1/2) = v(-1/2) + h a, u += h v(+1/2). A Maxwell branch is stored as
+y = u - q. For u linear over the step y <- e y + c h v is exact, e = exp(-h / tau), c = (1 - e) tau / h, c(0) = 0.
 """
 
 import functools
@@ -13,16 +13,16 @@ import warp as wp
 from warp_kernels.hexa import CPU_OPTIONS, LANES, point_reading
 
 NODE_BLOCK = 64
-"""Threads of a GPU block of nodes: small, so that the few nodes of a layer use many processors."""
+"""Number of threads of a GPU block of nodes, small so that the few nodes of a layer use many processors."""
 
 
 @functools.cache
 def geometry(real: Any) -> Any:
-    """Kernel of the metric (see hexa.element_forces) without its last row, which needs F; one thread a position.
+    """Return the kernel of the metric (see hexa.element_forces) without its last row, which needs F; by position.
 
     x: node positions [m], shape (nodes,); conn: by position; slot: node of the element by position, n^3 and above for
     padding; element: element by position; at: position by element and node, shape (E, n^3); weights: of the rule, (n,)
-    volume: w J by position [m^3]; determinant: J by position [m^3], negative where the element is inside out
+    volume: w J by position [m^3]; determinant: J by position [m^3], negative in an inverted element
     """
     vec3 = wp.types.vector(length=3, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
@@ -52,7 +52,7 @@ def geometry(real: Any) -> Any:
         here = x[conn[position]]
         slope = mat33()
         for m in range(n):
-            # Differences before rounding: the body may be far from the origin
+            # Differences are computed before rounding, because the body may be far from the origin
             a = x[conn[at[e, (m * n + j) * n + k]]] - here
             b = x[conn[at[e, (i * n + m) * n + k]]] - here
             c = x[conn[at[e, (i * n + j) * n + m]]] - here
@@ -87,7 +87,7 @@ NODE_BODY = Template("""
     Real* U = reinterpret_cast<Real*>(u.data) + 3 * first;
     Real* V = reinterpret_cast<Real*>(v.data) + 3 * first;
     Real* W = reinterpret_cast<Real*>(w.data);
-    // A GPU thread waits for memory alone: what does not hang on the forces is asked for before them
+    // A GPU thread waits only for memory, so data that do not depend on the forces are loaded before them
     Real moved[3 * L], speed[3 * L], keep[L], push[L], y[3 * L], f[3][L] = {};
     int row[L];
     for (int m = 0; m < 3 * L; ++m) moved[m] = U[m], speed[m] = V[m];
@@ -173,23 +173,23 @@ NODE_BODY = Template("""
 
 @functools.cache
 def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
-    """Kernel of the step of every node: force summed in a fixed order, load, constraint, motion, copies.
+    """Return the kernel of the step of nodes: force summed in a fixed order, load, constraint, motion, copies.
 
-    A thread takes LANES nodes on the CPU, one on a GPU. Arrays by node are padded to whole threads.
-    moving: whether the load is a Gaussian spot; else it is in frames
-    one_law: whether all elements have one law of relaxation; then copies are nodes
-    starts, sources: by thread, rows of `sources`, in which every lane has a position to sum (one without force where
-    it has fewer than its fellows), flat
-    areas: outward area of the surface nodes, the first ones [m^2], shape (surface,); places: their x and y [m]
-    spot: by step, peak [Pa] and centre's x, y [m]; spread: 4 ln 2 / fwhm^2 [1/m^2]
-    frames: pressure by frame and surface node [Pa]; frame: by step, the frame; share: by step, of the next one
+    A thread computes LANES nodes on the CPU, one on a GPU. Arrays by node are padded to whole threads.
+    moving: whether the load is a Gaussian spot; otherwise it is given by frames
+    one_law: whether all elements have the same relaxation law; then copies are nodes
+    starts, sources: by thread, rows of `sources` (flat) with a position to sum for every lane; lanes with fewer
+        positions have positions without force
+    areas: outward area of the surface nodes, which are the first nodes [m^2], shape (surface,); places: x and y [m]
+    spot: by step, peak [Pa] and x, y of the centre [m]; spread: 4 ln 2 / fwhm^2 [1/m^2]
+    frames: pressure by frame and surface node [Pa]; frame: frame of each step; share: weight of the next frame
     pace: by node, keep [1] and push [s/kg] of v <- keep v + push f
-    held: row of the three matrices for nodes that are held or damped by direction, or -1
-    keep33, push33, spring33: as keep and push, and a spring [N/m]
-    copy_starts, copy_laws: copies of a node, one for each law of relaxation that meets there, csr
+    held: row of the three matrices for nodes that are fixed or damped in some directions, or -1
+    keep33, push33, spring33: matrices as keep and push, and a spring [N/m]
+    copy_starts, copy_laws: copies of a node, one for each relaxation law of its elements, csr
     laws: by law, first and last branch; branches: by branch, e, c h [s], g; viscous: by law, eta / G [s]
-    strain: y by branch of the law and copy [m]; w: displacement that shears, by copy [m]
-    clock: steps begun, counted from 1; done: steps done, of which this is one
+    strain: y by branch of the law and copy [m]; w: displacement for the shear stress, by copy [m]
+    clock: number of started steps; done: number of completed steps, including this one
     """
     vec3 = wp.types.vector(length=3, dtype=real)
     vec2 = wp.types.vector(length=2, dtype=real)
@@ -199,7 +199,7 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
         "real": "double" if real is wp.float64 else "float",
         "moving": "true" if moving else "false",
         "one_law": "true" if one_law else "false",
-        # Forces loaded together by a GPU thread; a node of a layer has 6 to 12
+        # Number of forces loaded together by a GPU thread; a node of a layer has 6 to 12
         "together": 8 if gpu else 1,
     }
 
@@ -302,7 +302,7 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
 
 @functools.cache
 def reading(real: Any) -> Any:
-    """Kernel of hexa.point_reading alone, for the very last step; one thread a point."""
+    """Return the kernel of hexa.point_reading for the last step; one thread per point."""
     vec3 = wp.types.vector(length=3, dtype=real)
     read = point_reading(real)
 
@@ -324,11 +324,11 @@ def reading(real: Any) -> Any:
 
 @functools.cache
 def power_step(real: Any) -> Any:
-    """Kernel of one power iteration in every single element: x <- M^-1 K x at length 1; one thread an element.
+    """Return the kernel of a power iteration in each element: x <- M^-1 K x, normalised; one thread per element.
 
-    at: positions of an element's nodes, shape (E, n^3); force: K x by component and position; mass: by position [kg]
-    x: by position, of unit length in the element's mass; rate: x K x by element [1/s^2], from below the largest
-    eigenvalue
+    at: positions of the nodes of an element, shape (E, n^3); force: K x by component and position; mass: by position
+    [kg]; x: by position, of unit length in the mass of the element; rate: x K x by element [1/s^2], a lower bound of
+    the largest eigenvalue
     """
     vec3 = wp.types.vector(length=3, dtype=real)
 

@@ -1,7 +1,7 @@
-"""Share of each transducer's sound behind bodies: Kirchhoff's integral over a screen, along its outline.
+"""Share of the sound of each transducer behind bodies: Kirchhoff's integral over a screen, along its outline.
 
-The sound removed by a screen between two points is an integral over the screen, and by Maggi and Rubinowicz one along
-its outline; at a straight edge it is Fresnel's. One source for the CPU and GPUs.
+The sound removed by a screen between two points is an integral over the screen. By Maggi and Rubinowicz it is an
+integral along the outline; for a straight edge it is Fresnel's. The source is shared by CPU and GPUs.
 """
 
 import functools
@@ -15,7 +15,7 @@ from warp_kernels.pressure import BLOCK, CPU, inverse_root, quintic, vec6
 WIDTH = {"cpu": 16, "gpu": 1}
 """Number of transducers that one thread computes together."""
 NEIGHBOURS = 6
-"""Number of nodes for interpolation at a point."""
+"""Number of nodes in the interpolation at a point."""
 LEAST_SQUARE = wp.constant(1.0e-9)
 BLUR_M2 = wp.constant(9.0e-6)
 FULL_TURN = wp.constant(6.283185307179586)
@@ -25,7 +25,7 @@ FULL_TURN = wp.constant(6.283185307179586)
 class Nodes:
     """Points at which weights are computed.
 
-    points: of the surface [m]; numbers: those that are nodes; groups: group of views of each
+    points: points of the surface [m]; numbers: point numbers of the nodes; groups: view group of each node
     """
 
     points: wp.array(dtype=wp.vec3)
@@ -35,9 +35,9 @@ class Nodes:
 
 @wp.struct
 class Emitters:
-    """Transducers, board by board, each board's padded to a multiple of the CPU's WIDTH.
+    """Transducers by board, each board padded to a multiple of WIDTH of the CPU.
 
-    x, y, z: [m]; rows: targets of their weights, -1 for padding; boards: of each block of WIDTH
+    x, y, z: [m]; rows: rows of their weights, -1 for padding; boards: board of each block of WIDTH
     """
 
     x: wp.array(dtype=wp.float32)
@@ -49,9 +49,9 @@ class Emitters:
 
 @wp.struct
 class Waves:
-    """turns_per_m: one over the wavelength [1/m]; sine, cosine: as `pressure.Sound`
+    """Constants of the waves. turns_per_m: one over the wavelength [1/m]; sine, cosine: as in `pressure.Sound`
 
-    fades: detour, in wavelengths, over the last one of which diffracted sound fades to zero
+    fades: detour in wavelengths at which diffracted sound is zero; it is faded out over the last wavelength
     """
 
     turns_per_m: wp.float32
@@ -62,7 +62,7 @@ class Waves:
 
 @functools.cache
 def node_weights(gpu: bool) -> Any:
-    """Kernel of weights at nodes; dim: (nodes, transducers / WIDTH)."""
+    """Return the kernel of weights at nodes; dim: (nodes, transducers / WIDTH)."""
     width = WIDTH["gpu" if gpu else "cpu"]
     lanes = wp.types.vector(length=width, dtype=wp.float32)
     of_block = WIDTH["cpu"] // width
@@ -79,13 +79,13 @@ def node_weights(gpu: bool) -> Any:
         boards: wp.int32,
         first: wp.int32,
     ):
-        """across: of `outline.look_across`; pieces: output of `outline.list_pieces`
+        """across: from `outline.look_across`; pieces: output of `outline.list_pieces`
         real, imag: result, shape (nodes, rows); first: number of the first node
 
-        With a from the node to a piece of length and direction t, u from the node to the transducer, d apart from the
-        line between: a piece takes u . (t x a) / (2 pi d^2) times 1 - (1 + cos psi)/2 exp(ik detour), psi the
-        diffraction angle. The 1 is split into g(d) and 1 - g(d). Of 1 - g all pieces together give the number of layers
-        of bodies in the way, blurred over 3 mm and limited to one; g applies where sound is diffracted.
+        With a from the node to a piece of length and direction t, u from the node to the transducer, and d the distance
+        of the piece from the line between them, a piece removes u . (t x a) / (2 pi d^2) times 1 - (1 + cos psi)/2
+        exp(ik detour), psi the diffraction angle. The 1 is split into g(d) and 1 - g(d). The sum of 1 - g over pieces
+        is the number of layers on the path, blurred over 3 mm and limited to one; g is for pieces with diffraction.
         """
         n, block = wp.tid()
         node = first + n
@@ -187,7 +187,7 @@ def node_weights(gpu: bool) -> Any:
 
 @wp.kernel
 def find_clear(across: wp.array2d(dtype=wp.vec2), boards: wp.int32, clear: wp.array(dtype=wp.float32)):
-    """1 for each node without obstacles towards any board, else 0; dim: nodes. across: of `outline.look_across`"""
+    """Set 1 for each node without obstacles towards any board, else 0; dim: nodes. across: `outline.look_across`"""
     node = wp.tid()
     result = wp.float32(1.0)
     for board in range(boards):
@@ -203,7 +203,7 @@ def find_clear(across: wp.array2d(dtype=wp.vec2), boards: wp.int32, clear: wp.ar
 
 @functools.cache
 def spread(gpu: bool) -> Any:
-    """Kernel that interpolates weights from nodes to points; dim: points / BLOCK, on a GPU (rows, points)."""
+    """Return the kernel that interpolates weights from nodes to points; dim: points / BLOCK, GPU: (rows, points)."""
     lanes = wp.types.vector(length=BLOCK, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
@@ -217,8 +217,8 @@ def spread(gpu: bool) -> Any:
         clear: wp.array(dtype=wp.float32),
         first: wp.int32,
     ):
-        """neighbours, shares: (NEIGHBOURS, points), whose number is a multiple of BLOCK
-        node_real, node_imag: (nodes, rows), rows a multiple of BLOCK
+        """neighbours, shares: (NEIGHBOURS, points), with a multiple of BLOCK points
+        node_real, node_imag: (nodes, rows), with a multiple of BLOCK rows
         real, imag: result, shape (points / BLOCK, rows, BLOCK)
         clear: 1 for each node without obstacles; first: number of the first block of points
         """

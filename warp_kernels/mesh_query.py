@@ -2,7 +2,7 @@
 
 import warp as wp
 
-# No adjoints are used; without them the module compiles in half the time.
+# No adjoints are needed; without them the module compiles in half the time.
 wp.set_module_options({"enable_backward": False})
 
 
@@ -13,7 +13,7 @@ def closest_face(
     reach: wp.float32,
     face: wp.array[wp.int32],
 ):
-    """Face nearest to each point, -1 if none is within `reach`."""
+    """Find the face nearest to each point, -1 if none is within `reach`."""
     i = wp.tid()
     query = wp.mesh_query_point_no_sign(mesh, points[i], reach)
     face[i] = wp.where(query.result, query.face, -1)
@@ -29,12 +29,12 @@ def exit_face(
     least_cosine: wp.float32,
     face: wp.array[wp.int32],
 ):
-    """First face through which each ray leaves the body, -1 if there is none.
+    """Find the first face through which each ray leaves the body, -1 if there is none.
 
-    Faces that the ray only touches (a side wall parallel to it) and faces through which it enters are skipped.
+    Faces parallel to the ray and faces through which it enters are skipped.
     """
     i = wp.tid()
-    found = wp.int32(-1)
+    hit = wp.int32(-1)
     done = wp.int32(0)
     t = wp.float32(start)
     for _step in range(16):
@@ -42,9 +42,9 @@ def exit_face(
             query = wp.mesh_query_ray(mesh, origins[i] + t * directions[i], directions[i], reach)
             if query.result:
                 if wp.dot(query.normal, directions[i]) > least_cosine:
-                    found = query.face
+                    hit = query.face
                     done = 1
                 t += query.t + 1.0e-6
             else:
                 done = 1
-    face[i] = found
+    face[i] = hit

@@ -1,6 +1,6 @@
-"""Substeps of independent modes: each has a small state, which a substep multiplies by a small matrix.
+"""Substeps of independent modes. Each mode has a small state, which a substep multiplies by a small matrix.
 
-On the CPU WIDTH modes are adjacent, so that one instruction computes several of them.
+On the CPU, WIDTH modes are adjacent in memory, so that one instruction computes several of them.
 """
 
 import warp as wp
@@ -15,7 +15,7 @@ lanes = wp.types.vector(length=WIDTH, dtype=wp.float64)
 
 @wp.struct
 class Modes:
-    """Modes by groups of WIDTH. A state of r rows becomes advance @ state + input * force in a substep.
+    """Modes in groups of WIDTH. In a substep a state of r rows becomes advance @ state + input * force.
 
     advance: shape (g, r, r); inputs: shape (g, r)
     """
@@ -32,10 +32,10 @@ def step_modes(
     old: wp.array3d(dtype=lanes),
     seen: wp.array4d(dtype=lanes),
 ):
-    """All substeps of a group of modes.
+    """Compute all substeps of a group of modes.
 
-    forces: of each substep, (w, s, g); rows: the state, (w, r, g); old: room for one; seen: displacement and velocity
-    after each substep, (w, s, 2, g)
+    forces: of each substep, (w, s, g); rows: state, (w, r, g); old: work array for a state; seen: displacement and
+    velocity after each substep, (w, s, 2, g)
     """
     world, group = wp.tid()
     count = rows.shape[1]

@@ -1,6 +1,6 @@
-"""Loops over many mjData in C, on the CPU: calls of MuJoCo's functions, and numbers into and out of its arrays.
+"""Loops in C over many mjData, on the CPU: calls of MuJoCo functions, and copies to and from MuJoCo arrays.
 
-Kernels here take addresses, of functions and of foreign memory, and are independent of MuJoCo's structs.
+The arguments are addresses of functions and of foreign memory; the kernels do not depend on MuJoCo's structs.
 """
 
 import warp as wp
@@ -50,7 +50,7 @@ def push(
 
 @wp.kernel
 def call_each(function: wp.uint64, model: wp.uint64, datas: wp.array(dtype=wp.uint64)):
-    """Call a function of a model and each of some data; dim: data."""
+    """Call a function with a model and each mjData; dim: number of mjData."""
     call(function, model, datas, wp.tid())
 
 
@@ -78,9 +78,9 @@ def push_bodies(
     bodies: wp.array(dtype=wp.int32),
     forces: wp.array(dtype=wp.float64),
 ):
-    """Add forces and torques on bodies, (w n 6,), at the bodies' origins to generalised forces, by mj_applyFT; dim: w.
+    """Add forces and torques at the origins of bodies, (w n 6,), to generalised forces, by mj_applyFT; dim: w.
 
-    origins: addresses of the bodies' positions, targets: of the generalised forces
+    origins: addresses of body positions; targets: addresses of generalised forces
     """
     w = wp.tid()
     count = bodies.shape[0]

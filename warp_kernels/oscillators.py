@@ -1,4 +1,4 @@
-"""Damped oscillators under loads that are linear in time or turn at a constant rate, step by step without error."""
+"""Exact steps of damped oscillators under loads that are linear in time or rotate at a constant rate."""
 
 import warp as wp
 
@@ -46,7 +46,7 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": "-march=n
         }
         const int row = rows.data[n];
         if (row < 0) continue;
-        // The load at the segment's end
+        // The load at the end of the segment
         const double gr = (fr + dr) * cr - (fi + di) * ci, gi = (fr + dr) * ci + (fi + di) * cr;
         double a = 0.0, b = 0.0, c = 0.0, d = 0.0, e = 0.0, f = 0.0, g = 0.0, k = 0.0;
         for (int j = 0; j < count; ++j) {
@@ -83,7 +83,7 @@ def advance(
     state: wp.array(dtype=wp.float64),
     result: wp.array(dtype=wp.float64),
 ):
-    """In C, so that the loop over the poles runs in vector registers."""
+    """Advance in C, so that the loop over the poles is vectorised."""
     ...
 
 
@@ -105,18 +105,18 @@ def march(
     state: wp.array(dtype=wp.float64),
     result: wp.array(dtype=wp.float64),
 ):
-    """y_j' = s_j y_j + F through all segments, a node a thread; u = sum r_j y_j and u' at segment ends that are
-    requested times.
+    """Integrate y_j' = s_j y_j + F over all segments, one node per thread; store u = sum r_j y_j and u' at requested
+    segment ends.
 
     On a segment of length h the load is F = (f + d t / h) e^{-i rate t}, so
     y(h) = e^{sh} y(0) + h (f p + d q) with x = -(i rate + s) h, c = e^{-i rate h}, p = (c - e^{sh}) / x and q = (c - p)
     / x; for |x| < 0.001 their series in x are used.
 
-    group: set of poles of each node, (nodes,); counts: poles of each set, (groups,)
+    group: set of poles of each node, (nodes,); counts: number of poles of each set, (groups,)
     poles: (groups, 2, width), real parts first; residues: (groups, 4, width), of normal and lateral motion
-    kind: which of the durations a segment has, (segments,); decay: e^{sh}, (kinds, groups, 2, width)
-    drive: f, d, c and rate of each segment, (nodes, segments, 7); rows: requested time at its end or -1, (segments,)
-    state: y, (nodes, 2, width); result: u and u', normal and lateral, complex, (asked, nodes, 8)
+    kind: index of the duration of a segment, (segments,); decay: e^{sh}, (kinds, groups, 2, width)
+    drive: f, d, c and rate of each segment, (nodes, segments, 7); rows: result row of its end, or -1, (segments,)
+    state: y, (nodes, 2, width); result: u and u', normal and lateral, complex, (rows, nodes, 8)
     """
     node = wp.tid()
     advance(

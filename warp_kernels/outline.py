@@ -1,9 +1,9 @@
-"""The outline of bodies as seen from a point: pieces of closed lines, for diffracted sound.
+"""Outline of bodies as seen from a point, as pieces of closed lines, for diffracted sound.
 
-An edge of a closed mesh is on an outline if one of its two faces faces the point and the other does not. Parts below
-the skin round the point, behind an array's board or far from the path of the sound are cut off by planes, and the cut
-is closed by a cap. All lines are closed, and give the number of layers of bodies in the way; sound is diffracted only
-at visible lines, and not at a cap. A piece is oriented so that the body is to the left of the viewer.
+An edge of a closed mesh is on the outline if one of its two faces faces the point and the other does not. Parts below
+the skin round the point, behind the board of an array or far from the path of the sound are cut off by planes, and the
+cut is closed by a cap. All lines are closed, and give the number of layers of bodies on the path. Sound is diffracted
+only at visible lines, not at caps. A piece is oriented with the body to its left as seen by the viewer.
 """
 
 import warp as wp
@@ -13,23 +13,23 @@ from warp_kernels.point_sound import GRAZING
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 RUN = 64
-"""Edges and faces that one thread processes."""
+"""Number of edges and faces that one thread processes."""
 PLANES = wp.constant(6)
-"""Planes that cut off irrelevant parts: over the skin, before the board, and on four sides of the path between them."""
+"""Number of planes that cut off irrelevant parts: over the skin, before the board, and on four sides of the path."""
 AWAY = wp.constant(-0.3)
-"""Cosine to the board beyond which sound does not act on a skin, so that no test is needed."""
+"""Cosine to the board beyond which sound does not reach a skin, so that no test is needed."""
 NOWHERE = wp.constant(1.0e9)
 LANES = 16
-"""Threads that share the pieces of a view."""
+"""Number of threads per view, among which the pieces are divided."""
 
 
 @wp.struct
 class Mesh:
-    """Bodies in the way.
+    """Obstacles.
 
-    tree: of Warp; points: vertices [m]; planes: unit normal of each face and its height along it [m]
-    corners: of each face; edges: two vertices, then the face to the left and the one to the right, -1 for none
-    listed: faces in the order of their runs; balls: round each run of edges, then of faces, middle and radius [m]
+    tree: id of Warp's mesh; points: vertices [m]; planes: unit normal of each face and its height along it [m]
+    corners: vertices of each face; edges: two vertices, then left and right face, -1 for none
+    listed: faces in the order of their runs; balls: centre and radius of each run of edges, then of faces [m]
     """
 
     tree: wp.uint64
@@ -43,9 +43,9 @@ class Mesh:
 
 @wp.struct
 class Views:
-    """Viewpoints of bodies, one for each group of points and each board.
+    """Viewpoints, one for each group of points and each board.
 
-    eyes: [m]; planes: parts above all of them are kept, unit normals and heights along these [m], (views, PLANES)
+    eyes: [m]; planes: unit normals and heights [m], (views, PLANES); parts above all planes are used
     """
 
     eyes: wp.array(dtype=wp.vec3)
@@ -54,10 +54,10 @@ class Views:
 
 @wp.struct
 class Pieces:
-    """Pieces of outlines, in slots with room for every run of edges and faces.
+    """Pieces of outlines, in slots for every run of edges and faces.
 
-    middles: [m], and 1 where sound is diffracted, else 0; ways: from end to end [m]; both (views, slots)
-    counts: number in each run, (views, runs); totals: in all, with diffraction, and others
+    middles: [m], and 1 with diffraction, else 0; ways: vectors from end to end [m]; both (views, slots)
+    counts: number of pieces in each run, (views, runs); totals: numbers of pieces with and without diffraction
     listed: used slots, those with diffraction from the beginning, the others from the end, (views, slots)
     """
 
@@ -70,7 +70,7 @@ class Pieces:
 
 @wp.struct
 class Board:
-    """Rectangles round each array's transducers. centres [m]; right, up: unit axes; sizes: half, along these [m]"""
+    """Rectangles round the transducers of each array. centres: [m]; right, up: unit axes; sizes: half sizes [m]"""
 
     centres: wp.array(dtype=wp.vec3)
     right: wp.array(dtype=wp.vec3)
@@ -84,8 +84,8 @@ def above(point: wp.vec3, plane: wp.vec4):
 
 
 @wp.func
-def beside(eye: wp.vec3, inner: wp.vec3, outer: wp.vec3, along: wp.vec3):
-    """Plane through two points and along a direction, with the eye above it."""
+def plane_through(eye: wp.vec3, inner: wp.vec3, outer: wp.vec3, along: wp.vec3):
+    """Return the plane through two points and along a direction, with the eye above it."""
     normal = wp.normalize(wp.cross(along, outer - inner))
     if wp.dot(normal, eye - inner) < 0.0:
         normal = -normal
@@ -106,11 +106,11 @@ def place_views(
     views: Views,
     first: wp.int32,
 ):
-    """Viewpoints of groups of points; dim: (groups, boards), from group `first` on.
+    """Compute the viewpoints of groups of points; dim: (groups, boards), from group `first` on.
 
-    numbers: of the points of all groups; starts: first of each group, and one past the last
-    boards: mean direction and height of each [m]
-    clearance_m: of the plane over the highest point of the skin; lift_m: of the eye, which is above that plane
+    numbers: point numbers of all groups; starts: first point of each group, and one past the last
+    boards: mean direction and height of each board [m]
+    clearance_m: height of the cutting plane over the highest point of the skin; lift_m: height of the eye
     margin_m: distance from the points and the board within which bodies are processed
     """
     i, number = wp.tid()
@@ -142,15 +142,15 @@ def place_views(
     high = (board.sizes[number][1] + margin_m) * up
     centre = board.centres[number]
     reach = radius + margin_m
-    views.planes[view, 2] = beside(eye, eye + reach * right, centre + wide, up)
-    views.planes[view, 3] = beside(eye, eye - reach * right, centre - wide, up)
-    views.planes[view, 4] = beside(eye, eye + reach * up, centre + high, right)
-    views.planes[view, 5] = beside(eye, eye - reach * up, centre - high, right)
+    views.planes[view, 2] = plane_through(eye, eye + reach * right, centre + wide, up)
+    views.planes[view, 3] = plane_through(eye, eye - reach * right, centre - wide, up)
+    views.planes[view, 4] = plane_through(eye, eye + reach * up, centre + high, right)
+    views.planes[view, 5] = plane_through(eye, eye - reach * up, centre - high, right)
 
 
 @wp.kernel
 def face_planes(mesh: Mesh, first: wp.int32):
-    """Planes of the faces of the mesh in its present pose; dim: faces, from number `first` on."""
+    """Compute the planes of the faces of the mesh in its present pose; dim: faces, from number `first` on."""
     face = first + wp.tid()
     corners = mesh.corners[face]
     a = mesh.points[corners[0]]
@@ -160,7 +160,7 @@ def face_planes(mesh: Mesh, first: wp.int32):
 
 @wp.kernel
 def run_balls(mesh: Mesh):
-    """Bounding spheres of each run, for the present vertices; dim: runs."""
+    """Compute the bounding sphere of each run, for the present vertices; dim: runs."""
     run = wp.tid()
     edges = mesh.edges.shape[0]
     runs_of_edges = (edges + RUN - 1) // RUN
@@ -208,15 +208,15 @@ def put(
     but: wp.int32,
     bends: wp.bool,
     longest_m: wp.float32,
-    beside_m: wp.float32,
+    nearby_m: wp.float32,
     farthest_m: wp.float32,
     pieces: Pieces,
     slot: wp.int32,
     stop: wp.int32,
 ):
-    """Write the kept parts of the segment from a to b in pieces from `slot` on; returns the slot after the last.
+    """Write the clipped segment from a to b as pieces from `slot` on; return the slot after the last.
 
-    Sound is diffracted at a piece of an edge if no kept part hides the point `beside_m` next to it.
+    Sound is diffracted at a piece of an edge if no body hides the point at a distance of `nearby_m` from it.
     but: plane that contains the segment, -1 for none; bends: whether it is an edge, not a cap
     """
     next_slot = slot
@@ -234,7 +234,7 @@ def put(
             hidden = wp.bool(True)
             if bends:
                 towards = middle - eye
-                ray = wp.normalize(towards + beside_m * wp.normalize(wp.cross(towards, way)))
+                ray = wp.normalize(towards + nearby_m * wp.normalize(wp.cross(towards, way)))
                 reach = farthest_m
                 for k in range(PLANES):
                     plane = views.planes[view, k]
@@ -253,7 +253,7 @@ def put(
 
 @wp.func
 def ends_on(f: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Zero line of f, given at the corners, on a triangle: two ends in rows, f > 0 to the left as seen from outside."""
+    """Return the ends of the zero line of f, given at the corners of a triangle; f > 0 is to its left from outside."""
     leaves = wp.vec3()
     enters = wp.vec3()
     if f[0] > 0.0 and f[1] <= 0.0:
@@ -277,15 +277,15 @@ def find_pieces(
     views: Views,
     slots: wp.array(dtype=wp.int32),
     longest_m: wp.float32,
-    beside_m: wp.float32,
+    nearby_m: wp.float32,
     farthest_m: wp.float32,
     pieces: Pieces,
     first: wp.int32,
 ):
-    """Pieces of each view's outline, in runs of edges, then of faces; dim: (views, runs), from view `first` on.
+    """Find the pieces of the outline of each view, in runs of edges, then of faces; dim: (views, runs) from `first`.
 
-    slots: where each run's pieces begin, and one past the last
-    longest_m: of a piece; beside_m: distance next to a piece that must be free; farthest_m: range of the search
+    slots: first slot of each run, and one past the last
+    longest_m: longest piece; nearby_m: distance from a piece that must be free; farthest_m: range of the search
     """
     i, run = wp.tid()
     view = first + i
@@ -312,7 +312,7 @@ def find_pieces(
                 if not towards:
                     a = mesh.points[edge[1]]
                     b = mesh.points[edge[0]]
-                slot = put(mesh, views, view, a, b, -1, True, longest_m, beside_m, farthest_m, pieces, slot, stop)
+                slot = put(mesh, views, view, a, b, -1, True, longest_m, nearby_m, farthest_m, pieces, slot, stop)
     # Parts above all planes are not cut
     if lowest > -ball[3] and lowest < ball[3] and run >= runs_of_edges:
         start = (run - runs_of_edges) * RUN
@@ -326,22 +326,22 @@ def find_pieces(
             for k in range(PLANES):
                 plane = views.planes[view, k]
                 heights = wp.vec3(above(a, plane), above(b, plane), above(c, plane))
-                # Seen from between the planes caps face away, and the visible part ends where a face faces the eye
+                # Seen from between the planes, caps face away; the visible part ends at faces that face the eye
                 if towards and wp.max(heights) > 0.0 and wp.min(heights) <= 0.0:
                     ends = ends_on(heights, a, b, c)
                     begin = wp.vec3(ends[0, 0], ends[0, 1], ends[0, 2])
                     end = wp.vec3(ends[1, 0], ends[1, 1], ends[1, 2])
                     slot = put(
-                        mesh, views, view, begin, end, k, False, longest_m, beside_m, farthest_m, pieces, slot, stop
+                        mesh, views, view, begin, end, k, False, longest_m, nearby_m, farthest_m, pieces, slot, stop
                     )
     pieces.counts[view, run] = slot - slots[run]
 
 
 @wp.kernel
 def list_pieces(pieces: Pieces, slots: wp.array(dtype=wp.int32), first: wp.int32):
-    """List the used slots, in order, those with diffraction from the list's beginning, the others from its end.
+    """List the used slots in order: those with diffraction from the beginning, the others from the end.
 
-    dim: views, from view `first` on; slots: as `find_pieces`
+    dim: views, from view `first` on; slots: as for `find_pieces`
     """
     view = first + wp.tid()
     bending = wp.int32(0)
@@ -372,11 +372,11 @@ def look_across(
     result: wp.array2d(dtype=wp.vec2),
     first: wp.int32,
 ):
-    """Whether pieces are in or near the path to the board, and if not how often they enclose it.
+    """Compute whether pieces are in or near the path to the board, and otherwise how often they enclose it.
 
-    dim: (nodes, boards, LANES), from node `first` on; numbers: points that are nodes; groups: view of each
-    widest: clearance up to which a piece counts, in Fresnel's v
-    result: shape (nodes boards, LANES): more than 0 if there is such a piece; the share in enclosing the middle
+    dim: (nodes, boards, LANES), from node `first` on; numbers: point numbers of nodes; groups: view group of each
+    widest: largest clearance of a piece near the path, as Fresnel's v
+    result: shape (nodes boards, LANES): above 0 if there is such a piece; and the share in enclosing the centre
     """
     i, number, lane = wp.tid()
     node = first + i

@@ -1,7 +1,7 @@
 """Total-Lagrangian particles: stress and pair forces, motion, pressure of a spot, displacement at points.
 
-A site is a particle's part in one material; away from the faces between materials, sites and particles are the same.
-All sums are gathered, without atomic additions, so repeated runs give the same bits.
+A site is the part of a particle in one material; away from interfaces, sites and particles are identical. All sums are
+gathered, without atomic additions, so repeated runs give equal bits.
 """
 
 import warp as wp
@@ -33,7 +33,7 @@ def deviator(s: wp.mat33) -> wp.mat33:
 
 @wp.func
 def volume_change(h: wp.mat33) -> wp.float32:
-    """det(I + h) - 1 without subtracting 1 from a number near 1."""
+    """Return det(I + h) - 1 without cancellation."""
     minors = (
         h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]
         + h[0, 0] * h[2, 2] - h[0, 2] * h[2, 0]
@@ -71,9 +71,9 @@ def site_forces(
     gradient: wp.array[wp.mat33],
     force: wp.array2d[wp.vec3],
 ):
-    """Displacement gradient, stress, and the force of each pair on the site's particle (its opposite on the neighbour).
+    """Compute displacement gradient, stress, and the force of each pair on the particle of the site (and its opposite).
 
-    Energy of a site: V psi(I + H) + a G / 2 sum_k s_k |w_k - W X_k|^2, H = sum_k u_k a_k / V, W the same of w.
+    Energy of a site: V psi(I + H) + a G / 2 sum_k s_k |w_k - W X_k|^2, H = sum_k u_k a_k / V, and W likewise from w.
     """
     s = wp.tid()
     i = owner[s]
@@ -122,7 +122,7 @@ def site_forces(
             kirchhoff += deviator(pushed) * narrowing
     piola = kirchhoff * wp.transpose(inverse)
 
-    # Pairs that deviate from the site's own gradient are pulled back: otherwise modes of one spacing have no energy.
+    # Deviations of pairs from the gradient of the site are penalised; otherwise modes of one spacing have no energy.
     stiffness = hourglass * shear[m]
     w = h
     strays = wp.mat33()
@@ -208,8 +208,8 @@ def move(
     memory: wp.array[wp.vec3],
     relaxed: wp.array2d[wp.vec3],
 ):
-    """Leapfrog: velocity by the present force, displacement by that velocity; `memory`, the relaxing part's excess over
-    u."""
+    """Advance by leapfrog: velocity from the present force, displacement from this velocity. memory: displacement of
+    the relaxing part minus u."""
     i = wp.tid()
     total = net_force(i, site_start, count, incoming_count, incoming, slots, force)
     face = surface[i]
@@ -243,7 +243,7 @@ def spot_pressure(
     sharpness: wp.float32,
     pressure: wp.array2d[wp.float32],
 ):
-    """Gaussian spot at the face's particles [Pa], a row for each step."""
+    """Compute the pressure of a Gaussian spot at the particles of the face [Pa], one row per step."""
     row, face = wp.tid()
     away = places[face] - centre[row]
     pressure[row, face] = peak[row] * wp.exp(-sharpness * wp.dot(away, away))
@@ -255,11 +255,11 @@ def read_points(
     weights: wp.array2d[wp.float32],
     displacement: wp.array[wp.vec3],
     row: wp.int32,
-    found: wp.array2d[wp.vec3],
+    result: wp.array2d[wp.vec3],
 ):
-    """Displacement at points: a weighted sum over particles near each."""
+    """Compute the displacement at points as weighted sums over near particles."""
     p = wp.tid()
     total = wp.vec3()
     for k in range(weights.shape[1]):
         total += weights[p, k] * displacement[particles[p, k]]
-    found[row, p] = total
+    result[row, p] = total

@@ -1,11 +1,11 @@
-"""Commanded and emitted drive with a moving focus, in float64: phases, level and the pole of each transducer."""
+"""Commanded and emitted drive for a moving focus, in float64: phases, level and the pole of each transducer."""
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
 LANES = 32
-"""Number of parts of the sum over the transducers."""
+"""Number of partial sums over the transducers."""
 NEAREST_M = 1.0e-9
 
 
@@ -13,7 +13,7 @@ NEAREST_M = 1.0e-9
 class Focusing:
     """Data to focus the sound of n transducers.
 
-    places, facing: position [m] and unit direction of each; gains: full drive's strength, complex [Pa m]
+    places, facing: position [m] and unit direction of each; gains: complex strength at full drive [Pa m]
     parts: row of `shapes` of each, shape (n,); shapes: directivity as polynomials in sin^2 of the angle, lowest power
         first, shape (parts, c)
     wavenumber: [1/m]; absorption_Np_m: amplitude absorption [Np/m]
@@ -41,9 +41,9 @@ def focus_waves(
     waves: wp.array3d(dtype=wp.vec2d),
     strengths: wp.array3d(dtype=wp.vec2d),
 ):
-    """exp(-i k d) of each transducer that faces a focus, else 0, and its pressure there at full drive [Pa].
+    """Compute exp(-i k d) of each transducer that faces a focus, else 0, and its pressure there at full drive [Pa].
 
-    foci: [m], shape (w, f), the first counts[w, 0] are used; waves, strengths: complex, shape (w, f, n); dim: the same
+    foci: [m], shape (w, f); the first counts[w, 0] are used. waves, strengths: complex, shape (w, f, n); dim: (w, f, n)
     """
     w, m, e = wp.tid()
     if m < counts[w, 0]:
@@ -74,7 +74,8 @@ def focus_sums(
     strengths: wp.array3d(dtype=wp.vec2d),
     sums: wp.array3d(dtype=wp.vec3d),
 ):
-    """In parts, pressure at each focus at full drive [Pa], number of transducers that face it; dim: (w, f, LANES)."""
+    """Compute partial sums of the pressure at each focus at full drive [Pa] and of the number of transducers that face
+    it; dim: (w, f, LANES)."""
     w, m, lane = wp.tid()
     if m < counts[w, 0]:
         total = wp.vec3d()
@@ -89,14 +90,14 @@ def focus_levels(
     counts: wp.array2d(dtype=wp.int32),
     aims: wp.array(dtype=wp.vec2d),
     sums: wp.array3d(dtype=wp.vec3d),
-    wanted: wp.array2d(dtype=wp.float64),
+    targets: wp.array2d(dtype=wp.float64),
     levels: wp.array2d(dtype=wp.float64),
     totals: wp.array2d(dtype=wp.vec3d),
 ):
-    """Level of the drive for each focus, times its target, 0 to 1; for the last one twice; dim: (w, f + 1).
+    """Compute the level of the drive for each focus, times its target, 0 to 1; the last twice; dim: (w, f + 1).
 
-    aims: of each world the ARP at the focus times rho c^2 [Pa^2], 0 if the second number is the drive's amplitude
-    totals: the parts of each focus, `sums`, added up
+    aims: by world, ARP at the focus times rho c^2 [Pa^2], or 0 and the amplitude of the drive
+    totals: totals of the partial sums `sums` of each focus
     """
     w, m = wp.tid()
     if m <= counts[w, 0]:
@@ -110,7 +111,7 @@ def focus_levels(
             level = wp.float64(0.0)
             if full > wp.float64(0.0):
                 level = wp.sqrt(aims[w][0] / full)
-        levels[w, m] = wanted[w, m] * level
+        levels[w, m] = targets[w, m] * level
         if m < counts[w, 0]:
             totals[w, m] = total
 
@@ -137,17 +138,17 @@ def ring_along(
     now: wp.array2d(dtype=wp.vec2),
     end: wp.array2d(dtype=wp.vec2d),
 ):
-    """Emission of a transducer at the moments of a step, as a pole driven by the drives; dim: (w, n).
+    """Compute the emission of a transducer at the moments of a step, as a pole driven by the drives; dim: (w, n).
 
-    The last of counts[w, 0] foci is that of the step's beginning, the others are the moments', counts[w, 1] for each,
-    among which `group` selects a transducer's. rings: 0 if the commanded drive sounds at once
-    weights: for each moment those of the emission before, of the drives at the moment before and at this one, and, for
-        a held part, of the emission and of the drive, for half of it; complex, shape (m, 5)
-        pushes: row of `force` for each moment, -1 for none, shape (m,)
-    scales: strength at full drive [Pa m]; order: each transducer's column in the tables of drives
-    begun, end: its emission at the step's beginning and end, relative to full drive; zero at the end without foci
-        load, force, now: the tables of the moments' drives; of the same for transducers that ring, else of the focus at
-        the beginning at the loudest moment's level; and of the emission at the beginning [Pa m]
+    The last of counts[w, 0] foci is that at the start of the step. The others are those of the moments, counts[w, 1]
+    for each, of which `group` selects the focus of a transducer. rings: 0 if the transducer has no ring-up
+    weights: by moment, weights of the emission before, of the drives at the moment before and at this moment, and, for
+        a held part, of emission and drive for half of it; complex, shape (m, 5)
+    pushes: row of `force` for each moment, -1 for none, shape (m,)
+    scales: strength at full drive [Pa m]; order: column of each transducer in the tables of drives
+    begun, end: emission at start and end of the step, relative to full drive; zero at the end without foci
+    load: table of the drives at the moments [Pa m]; force: the same for transducers with ring-up, else the focus at the
+        start with the level of the loudest moment; now: emission at the start
     """
     w, e = wp.tid()
     if counts[w, 0] == 0:
@@ -160,7 +161,7 @@ def ring_along(
     moments = last // groups
     own = group[w, e]
     emitted = begun[w, e]
-    # Rows of the tables with this world's drives
+    # Rows of the tables with the drives of this world
     loads = load.shape[0] // counts.shape[0]
     load_row = w * loads
     force_row = w * (force.shape[0] // counts.shape[0])

@@ -1,7 +1,7 @@
-"""Sound of several drives together at points of a surface, for a device: fields in parts, then ARP with its shadow.
+"""Sound of several drives at points of a surface, on a device: partial fields, then the ARP with shadows.
 
-One thread computes one point, a few drives and a run of the transducers. Its result has its own place, and the sum adds
-the runs up in their order: so a GPU is busy with few points, and equal input gives equal bits.
+One thread computes one point, a few drives and a run of the transducers. Partial results are stored separately and
+summed in a fixed order, so few points fill a GPU, and equal input gives equal bits.
 """
 
 import functools
@@ -33,7 +33,7 @@ GRAZING = 1.0e-6
 
 @wp.struct
 class Waves:
-    """Numbers shared by every pair of transducer and point.
+    """Constants of all pairs of transducer and point.
 
     turns_per_m: one over the wavelength [1/m]; absorption_Np_m: amplitude absorption [Np/m]
     per_wavenumber: 1/k [m]
@@ -46,9 +46,9 @@ class Waves:
 
 @functools.cache
 def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
-    """Kernel of pressure and gradient of `rows` drives a thread; dim: (w drives / rows, runs of transducers, points).
+    """Return the kernel of pressure and gradient of `rows` drives per thread; dim: (w drives / rows, runs, points).
 
-    shaded: each pair of transducer and point has a weight of its own
+    shaded: whether each pair of transducer and point has a weight
     """
     lanes = wp.types.vector(length=rows, dtype=wp.float32)
 
@@ -72,7 +72,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
     ):
         """Sum over transducers [first, stop) in runs of `size`; results of the runs begin at result[:, run].
 
-        points, normals: of each world, (w, n); normals: unit, outward, of the opaque surfaces of the points; see
+        points, normals: of each world, (w, n); normals: unit outward normals of opaque surfaces, see
             `pressure.from_front`
         places, facing: position [m] and unit direction of each transducer, the fourth number is unused
         shapes: directivity and slope, see `pressure.Sound`
@@ -89,7 +89,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
             normal = STEEPNESS * normals[world, i]
             in_directivity = shapes[0]
             in_slope = shapes[1]
-            # They would be reloaded from a struct for each transducer
+            # Local copies, because numbers in a struct would be reloaded for each transducer
             turns_per_m = waves.turns_per_m
             loss = waves.absorption_Np_m
             per_wavenumber = waves.per_wavenumber
@@ -104,7 +104,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
             z_re = lanes()
             z_im = lanes()
             for e in range(first + j * size, wp.min(first + (j + 1) * size, stop)):
-                # A single drive is often that of another array; several drives are read only for lit points
+                # A single drive is often zero here, as it is of another array; several drives are read for lit points
                 sounds = True
                 if rows == 1:
                     a = drives[row, e]
@@ -147,7 +147,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
                         gx = wp.vec2(along_re * x + axial_re * axis[0], along_im * x + axial_im * axis[0])
                         gy = wp.vec2(along_re * y + axial_re * axis[1], along_im * y + axial_im * axis[1])
                         gz = wp.vec2(along_re * z + axial_re * axis[2], along_im * z + axial_im * axis[2])
-                        # One sum after another: each is one multiplication with addition
+                        # Separate sums, each of which is a fused multiply-add
                         for r in range(rows):
                             if rows > 1:
                                 a = drives[row + r, e]
@@ -184,9 +184,9 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
 
 @wp.func
 def reach_to_boards(point: wp.vec3, along: wp.vec3, boards: wp.array(dtype=wp.vec4), farthest_m: wp.float32):
-    """Distance back along the sound within which a ray can hit an object before the farthest board [m].
+    """Return the length of the ray back along the sound up to the farthest board [m].
 
-    boards: mean direction of each and the height of its middle along it [m]
+    boards: mean direction of each board and height of its centre along it [m]
     """
     reach = wp.float32(0.0)
     for b in range(boards.shape[0]):
@@ -213,12 +213,12 @@ def arp_of_sums(
     farthest_m: wp.float32,
     result: wp.array2d(dtype=wp.float32),
 ):
-    """ARP [Pa] of sums of drives, levels (w m, k), at points with unit outward normals, (w m, n); dim: the same.
+    """Compute the ARP [Pa] of sums of drives, levels (w m, k), at points with unit outward normals; dim: (w m, n).
 
-    counts: number of drives in each world, and of sums, (w, 2); fields: of `fields`
-    weights: as `arp.radiation_pressure`
-    mesh: that casts shadows, 0 for none: dark if the ray back along the sound hits it before the boards, see
-        `reach_to_boards`; clearance_m: height above the surface at which a ray starts
+    counts: numbers of drives and sums in each world, (w, 2); fields: of `fields`
+    weights: as for `arp.radiation_pressure`
+    mesh: mesh that casts shadows, 0 for none; a point is dark if the ray back along the sound hits it before the
+        boards, see `reach_to_boards`; clearance_m: height above the surface at which a ray starts
     """
     m, i = wp.tid()
     worlds = counts.shape[0]

@@ -1,13 +1,13 @@
-"""Pressure of planar transducers; one source for the CPU and GPUs. Its gradient is in gradient.py.
+"""Pressure of planar transducers, with one source for CPU and GPUs. The gradient is in gradient.py.
 
-Phasors go with e^{-i w t}. Transducers are in groups that share a plane and an axis: in the group's frame (x, y in the
-plane, z along the axis) they differ only in x, y, strength and phase, so that z^2, cos^2 of the angle off the axis and
-"behind the plane" cost almost no time for a pair. If they share only the axis each has a z as well.
+Phasors are e^{-i w t}. Transducers are in groups with a common plane and axis. In the group frame (x, y in the plane, z
+along the axis) they differ only in x, y, strength and phase, so that z^2, cos^2 of the angle off the axis and the test
+for "behind the plane" cost little per pair. If only the axis is common, each transducer also has a z.
 
 One thread computes several points. On the CPU, where Warp runs scalar code per thread, LLVM vectorises the loop over
-them: 16 fill one AVX-512 register. On a GPU 4 share the loads of a transducer.
+the points; 16 fill one AVX-512 register. On a GPU 4 points share the loads of a transducer.
 
-Choices are made when the kernels are built (`Form`), among them those of functions `angle_*` and `fall_*`.
+Options are chosen when the kernels are built (`Form`), for example the functions `angle_*` and `fall_*`.
 """
 
 import functools
@@ -20,26 +20,26 @@ vec6 = wp.types.vector(length=6, dtype=wp.float32)
 
 NEAREST_M2 = wp.constant(1.0e-18)  # keeps 1/d finite at an element's own position
 TURN = wp.constant(6.283185307179586)
-STEEPNESS = wp.constant(5.0)  # of `from_front` over the cosine: from 0 to 1 between -0.1 and 0.1
+STEEPNESS = wp.constant(5.0)  # slope of `from_front` over the cosine: from 0 to 1 between -0.1 and 0.1
 
 CPU = {
-    "max_unroll": 1,  # LLVM vectorises loops, not what Warp has unrolled
-    # Contraction lets LLVM fuse multiply and add across Warp's function calls: a fifth faster, with equal accuracy
+    "max_unroll": 1,  # LLVM vectorises loops, but not loops unrolled by Warp
+    # Contraction lets LLVM fuse multiply and add across Warp's function calls: 20 % faster, with equal accuracy
     "cpu_compiler_flags": "-march=native -ffp-contract=fast",
 }
 GPU = {"fast_math": True}
 BLOCK = 16
-"""Points whose weights are adjacent, for each transducer in turn."""
+"""Number of points whose weights are adjacent in memory, by transducer."""
 
 
 @wp.struct
 class Sound:
-    """Numbers shared by every pair of transducer and point; polynomials have the lowest power first.
+    """Constants of all pairs of transducer and point; polynomials have the lowest power first.
 
     turns_per_m, turns32_per_m, wavenumber_rad_m: one over the wavelength [1/m], in both precisions, and 2 pi times that
     absorption_Np_m: amplitude absorption [Np/m]
-    directivity: in q = cos^2 of the angle off the axis
-    slope: twice the directivity's derivative in q, over k
+    directivity: polynomial in q = cos^2 of the angle off the axis
+    slope: twice the derivative of the directivity by q, over k
     sine, cosine: sin(2 pi f)/f and cos(2 pi f) in f^2, for f within half a turn
     """
 
@@ -91,7 +91,7 @@ def inverse_root(x: wp.float32) -> wp.float32: ...
 """
 )
 def row32(rows: wp.array(dtype=wp.vec4), i: wp.int32) -> wp.vec4:
-    """One load for four numbers, for which Warp's own indexing needs four."""
+    """Load four numbers at once, for which Warp's indexing needs four loads."""
     ...
 
 
@@ -102,16 +102,16 @@ def row64(rows: wp.array(dtype=wp.vec4d), i: wp.int32):
 
 @wp.func
 def from_front(height: wp.float32):
-    """Share of a transducer's sound that reaches the front of an opaque surface: continuous, 1/2 at grazing incidence.
+    """Return the share of sound that reaches the front of an opaque surface: continuous, 1/2 at grazing incidence.
 
-    height: STEEPNESS times the cosine between the surface's outward normal and the direction to the transducer
+    height: STEEPNESS times the cosine between the outward normal and the direction to the transducer
     """
     return wp.min(wp.max(height + 0.5, 0.0), 1.0)
 
 
 @wp.func
 def root32(square: wp.float32):
-    """Distance [m] and its inverse [1/m] from a squared distance."""
+    """Return the distance [m] and its inverse [1/m] from a squared distance."""
     inverse = inverse_root(square)
     return wp.vec2(square * inverse, inverse)
 
@@ -128,7 +128,7 @@ def polynomial_wave(sound: Sound, f: wp.float32):
     return wp.vec2(quintic(sound.cosine, q), f * quintic(sound.sine, q))
 
 
-# cosine and sine of the phase after distance d; phase: at the transducer [turns]
+# Cosine and sine of the phase after distance d; phase: at the transducer [turns]
 @wp.func
 def angle_cpu32(sound: Sound, square: wp.float32, d: wp.float32, inverse: wp.float32, phase: wp.float32):
     turns = d * sound.turns32_per_m + phase
@@ -137,14 +137,14 @@ def angle_cpu32(sound: Sound, square: wp.float32, d: wp.float32, inverse: wp.flo
 
 @wp.func
 def angle_gpu32(sound: Sound, square: wp.float32, d: wp.float32, inverse: wp.float32, phase: wp.float32):
-    # Phase in radians here, and unreduced: the hardware's sine reduces it
+    # The phase is in radians and not reduced, because the sine of the hardware reduces it
     angle = d * sound.wavenumber_rad_m + phase
     return wp.vec2(wp.cos(angle), wp.sin(angle))
 
 
 @wp.func
 def turns64(sound: Sound, square: wp.float64, d: wp.float32, inverse: wp.float32, phase: wp.float64):
-    """Phase within half a turn, from a distance corrected to float64 by one Newton step."""
+    """Return the phase within half a turn, from a distance corrected to float64 by one Newton step."""
     rough = wp.float64(d)
     exact = rough + wp.float64(0.5) * wp.float64(inverse) * (square - rough * rough)
     turns = exact * sound.turns_per_m + phase
@@ -164,7 +164,7 @@ def angle_gpu64(sound: Sound, square: wp.float64, d: wp.float32, inverse: wp.flo
 
 @wp.func
 def fall_cubic(sound: Sound, strength: wp.vec4, d: wp.float32, inverse: wp.float32):
-    """Strength times exp(-absorption d)/d, the exponential as a cubic whose coefficients are part of the strengths."""
+    """Return strength times exp(-absorption d)/d, with the exponential as a cubic with coefficients in `strength`."""
     return strength[0] * inverse + (strength[1] + d * (strength[2] + d * strength[3]))
 
 
@@ -185,13 +185,13 @@ FALLS = {"quadratic": fall_quadratic, "cubic": fall_cubic, "exponential": fall_e
 class Form:
     """Options with which kernels are built.
 
-    gpu: for a GPU rather than the CPU
-    accurate: geometry and phase in float64, the rest in float32
-    fall: of the amplitude with distance, a key of FALLS
+    gpu: for a GPU instead of the CPU
+    accurate: geometry and phase in float64, all else in float32
+    fall: method for the decay of the amplitude with distance, a key of FALLS
     smooth: directivity as a quartic and its slope as a cubic, instead of a quintic and a quartic
-    flat: a group's transducers lie in a plane; else the fourth number of an element is its height over it
-    shaded: each pair of transducer and point has a weight of its own (kernels with the gradient)
-    faced: points are on opaque surfaces, which sound from behind does not reach (kernels with the gradient)
+    flat: transducers of a group are in a plane; otherwise the fourth number of an element is its height over the plane
+    shaded: each pair of transducer and point has a weight (kernels with gradient)
+    faced: points are on opaque surfaces, which sound from behind does not reach (kernels with gradient)
     """
 
     gpu: bool
@@ -214,7 +214,7 @@ class Form:
 
     @property
     def vectors(self) -> tuple[Any, Any, Any]:
-        """Warp's types of a position, of four numbers and of a rotation."""
+        """Warp types of a position, of four numbers and of a rotation."""
         return (wp.vec3d, wp.vec4d, wp.mat33d) if self.accurate else (wp.vec3, wp.vec4, wp.mat33)
 
 
@@ -223,7 +223,7 @@ WIDTH = {"cpu": 16, "gpu": 4}
 
 @functools.cache
 def pressure(form: Form) -> Any:
-    """Kernel of the pressure alone; WIDTH points a thread."""
+    """Return the kernel of the pressure without gradient; WIDTH points per thread."""
     vec3, vec4, mat33 = form.vectors
     width = WIDTH["gpu" if form.gpu else "cpu"]
     real = wp.float64 if form.accurate else wp.float32
@@ -247,9 +247,9 @@ def pressure(form: Form) -> Any:
         sound: Sound,
         result: wp.array2d(dtype=wp.vec2),
     ):
-        """By group: origin, rotation into its frame. By part and group: range of its transducers. By transducer: x, y,
-        phase, z; strength [Pa m] times the coefficients of the fall. result: real and imaginary pressure [Pa] of each
-        part's transducers by point.
+        """By group: origin, rotation into its frame. By part and group: range of transducers. By transducer: x, y,
+        phase, z; strength [Pa m] times the coefficients of the decay. result: real and imaginary pressure [Pa] by part
+        of the transducers and point.
         """
         part, thread = wp.tid()
         first = thread * width
@@ -312,7 +312,7 @@ def pressure(form: Form) -> Any:
 
 @wp.kernel(module="unique", enable_backward=False)
 def sum_of_parts(parts: wp.array2d(dtype=wp.vec2), result: wp.array(dtype=wp.vec2)):
-    """Pressure [Pa] by point, from that of each part's transducers."""
+    """Compute the pressure [Pa] by point, from that of each part of the transducers."""
     i = wp.tid()
     total = parts[0, i]
     for part in range(1, parts.shape[0]):
@@ -322,7 +322,7 @@ def sum_of_parts(parts: wp.array2d(dtype=wp.vec2), result: wp.array(dtype=wp.vec
 
 @functools.cache
 def emitted(accurate: bool) -> Any:
-    """Kernel that converts a drive for the kernels of the field, in mode accurate or fast."""
+    """Return the kernel that converts a drive for the kernels of the field, in mode accurate or fast."""
     vec4 = wp.vec4d if accurate else wp.vec4
     real = wp.float64 if accurate else wp.float32
 
@@ -334,7 +334,7 @@ def emitted(accurate: bool) -> Any:
         elements: wp.array(dtype=vec4),
         strengths: wp.array(dtype=wp.vec4),
     ):
-        """drive: complex amplitudes by transducer; fall: p0 [Pa m] times the coefficients of the fall, one vector.
+        """drive: complex amplitudes by transducer; fall: p0 [Pa m] times the coefficients of the decay, one vector.
         elements, strengths: filled with phases and amplitudes, see `pressure`
         """
         e = wp.tid()

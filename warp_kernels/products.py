@@ -5,7 +5,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 ROWS = 64
-"""Rows of the result in a tile."""
+"""Number of rows of the result in a tile."""
 COLUMNS = 128
 DEPTH = 32
 
@@ -16,7 +16,7 @@ def product(
     right: wp.array(dtype=wp.float32, ndim=2),
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
-    """left @ right, a tile a block; entries beyond the edges count as zero."""
+    """Compute left @ right, one tile per block; entries beyond the edges are zero."""
     i, j = wp.tid()
     total = wp.tile_zeros(shape=(ROWS, COLUMNS), dtype=wp.float32)
     for k in range((left.shape[1] + DEPTH - 1) / DEPTH):

@@ -2,13 +2,13 @@
 
 import warp as wp
 
-# Pictures need no adjoints, and unrolled loops with their adjoints take 20 s to compile.
+# No adjoints are needed; with unrolled loops they take 20 s to compile.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.func
 def cosine_direction(normal: wp.vec3, u: float, v: float) -> wp.vec3:
-    """Direction about `normal`, cosine-weighted, of two numbers in [0, 1)."""
+    """Return a cosine-weighted direction about `normal` from two numbers in [0, 1)."""
     helper = wp.vec3(1.0, 0.0, 0.0)
     if wp.abs(normal[0]) > 0.7:
         helper = wp.vec3(0.0, 1.0, 0.0)
@@ -25,7 +25,7 @@ def cosine_direction(normal: wp.vec3, u: float, v: float) -> wp.vec3:
 
 @wp.func
 def openness(mesh: wp.uint64, point: wp.vec3, normal: wp.vec3, reach: float, rays: int, seed: int) -> float:
-    """Share of cosine-weighted rays of length `reach` [m] without a hit (ambient occlusion)."""
+    """Return the share of cosine-weighted rays of length `reach` [m] without a hit (ambient occlusion)."""
     state = wp.rand_init(11, seed)
     free = wp.float32(0.0)
     for ray in range(rays):
@@ -62,13 +62,13 @@ def render(
     pixels: wp.array[wp.int32],
     image: wp.array[wp.vec3],
 ):
-    """One linear RGB pixel a thread, of those whose numbers are in `pixels`, row by row.
+    """Compute one linear RGB pixel per thread; pixels: numbers of the pixels, by rows.
 
-    mesh: all objects; solid: those that cast shadows
+    mesh: all objects; solid: objects that cast shadows
     faces: vertex of each corner, shape (3 m,); normals: unit, by vertex; albedo: linear RGB, by vertex
-    level: place in the colour map in [0, 1] by vertex, negative to use albedo; gloss: strength of the highlight
+    level: position in the colour map, 0 to 1, by vertex, negative to use albedo; gloss: strength of the highlight
     veil: opacity by face, 1 is solid; lut: linear RGB, shape (256,)
-    eye: camera [m]; corner: from it to the image's top left corner; right, down: sides of one pixel
+    eye: camera [m]; corner: from the camera to the top left corner of the image; right, down: sides of one pixel
     key, fill: unit directions towards the lights; sky: unit direction of the brighter half of the ambient light
     reach: length of the ambient rays [m]; image: linear RGB, shape (height * width,)
     """

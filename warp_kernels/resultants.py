@@ -1,11 +1,11 @@
-"""Force and torque of a pressure on the parts of bodies, added up in float64 in a fixed order."""
+"""Force and torque of a pressure on the parts of bodies, summed in float64 in a fixed order."""
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
 LANES = 16
-"""Threads that share the runs of a part."""
+"""Number of threads per part, among which its runs are divided."""
 
 
 @wp.kernel
@@ -19,11 +19,10 @@ def mean_load(
     corners: wp.array(dtype=wp.vec3),
     result: wp.array2d(dtype=wp.float64),
 ):
-    """Weighted sum of ARPs, shape (w m, n) [Pa], times the area of each point [m2], shape (w, n); dim: the same.
+    """Compute weighted sums of ARPs, (w m, n) [Pa], times the area of each point [m2], (w, n); dim: (w, n).
 
-    counts[w, 1]: number used of m; weights: shape (w, m)
-
-    corners: of a convex hull that contains all transducers; the pressure is zero if all of it is behind the surface
+    counts[w, 1]: number of used ARPs, of m; weights: shape (w, m)
+    corners: of a convex hull of all transducers; the pressure is zero if the whole hull is behind the surface
     """
     w, i = wp.tid()
     nearest = wp.float32(-wp.inf)
@@ -47,10 +46,10 @@ def sums_of_runs(
     origins: wp.array2d(dtype=wp.vec3d),
     result: wp.array3d(dtype=wp.float64),
 ):
-    """Force [N] and torque about its part's origin [N m] of each run of points, shape (w, runs, 6)
+    """Compute force [N] and torque about the origin of the part [N m] of each run of points, shape (w, runs, 6).
 
-    load: inward [N]; order: the points in runs, run i is order[starts[i]:starts[i + 1]]
-    parts: the part that each run acts on; origins: of the parts [m]
+    load: inward [N]; order: points of the runs; run i is order[starts[i]:starts[i + 1]]
+    parts: part of each run; origins: of the parts [m]
     """
     w, run = wp.tid()
     origin = origins[w, parts[run]]
@@ -70,7 +69,7 @@ def sums_of_runs(
 def sums_of_parts(
     runs: wp.array3d(dtype=wp.float64), starts: wp.array(dtype=wp.int32), result: wp.array4d(dtype=wp.float64)
 ):
-    """The runs of each part, starts[i] to starts[i + 1], in LANES, shape (w, LANES, parts, 6); dim: the same."""
+    """Sum the runs of each part, starts[i] to starts[i + 1], in LANES, (w, LANES, parts, 6); dim: (w, LANES, parts)."""
     w, lane, part, axis = wp.tid()
     total = wp.float64(0.0)
     for run in range(starts[part] + lane, starts[part + 1], LANES):
@@ -80,7 +79,7 @@ def sums_of_parts(
 
 @wp.kernel
 def sums_of_lanes(lanes: wp.array4d(dtype=wp.float64), result: wp.array3d(dtype=wp.float64)):
-    """Add up the results of `sums_of_parts`, shape (w, parts, 6); dim: the same."""
+    """Sum the results of `sums_of_parts`, shape (w, parts, 6); dim: the same."""
     w, part, axis = wp.tid()
     total = wp.float64(0.0)
     for lane in range(LANES):

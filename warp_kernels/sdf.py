@@ -2,7 +2,7 @@
 
 import warp as wp
 
-# No adjoints are used; without them the module compiles in half the time.
+# No adjoints are needed; without them the module compiles in half the time.
 wp.set_module_options({"enable_backward": False})
 
 FAR = wp.constant(1.0e3)
@@ -10,7 +10,7 @@ FAR = wp.constant(1.0e3)
 
 @wp.struct
 class Segment:
-    """A capsule whose cross-section is an ellipse with its own height on either side of the axis.
+    """A capsule whose cross-section is an ellipse with different heights on the two sides of the axis.
 
     start, end: axis [m]
     semi_start, semi_end: half-widths at the ends: lateral, dorsal, palmar [m]
@@ -111,7 +111,7 @@ def hand_distance_at_points(
     out: wp.array[wp.float32],
     gradient: wp.array[wp.vec3],
 ):
-    """Distance, and its gradient by central differences over `step`."""
+    """Compute the distance, and its gradient by central differences over `step`."""
     i = wp.tid()
     p = points[i]
     out[i] = hand_distance(p, segments, thumb_blend, finger_blend, between_blend)

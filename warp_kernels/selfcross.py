@@ -1,4 +1,4 @@
-"""Faces of a triangle mesh that cross each other."""
+"""Find faces of a triangle mesh that intersect each other."""
 
 import warp as wp
 
@@ -7,7 +7,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def pierces(p: wp.vec3d, q: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.bool:
-    """Whether a segment meets a triangle it is not parallel to (Moller & Trumbore 1997); its ends count."""
+    """Return whether a segment, with its ends, meets a triangle that is not parallel (Moller & Trumbore 1997)."""
     along = q - p
     e1 = b - a
     e2 = c - a
@@ -36,10 +36,10 @@ def crossing_faces(
     count: wp.array[wp.int32],
     pairs: wp.array2d[wp.int32],
 ):
-    """Pairs i < j of faces that cross, without neighbours that share an edge.
+    """Find pairs i < j of faces that intersect, without neighbours that share an edge.
 
-    For two that share one corner the edges opposite to it are tested, else all edges of both.
-    margin: widening of the boxes, since the mesh's are rounded; count: of all pairs, also beyond those kept
+    For faces with one common corner the edges opposite to it are tested, otherwise all edges of both.
+    margin: widening of the boxes, since those of the mesh are rounded; count: number of all pairs, also unstored ones
     """
     i = wp.tid()
     low = wp.vec3(wp.inf, wp.inf, wp.inf)
@@ -72,7 +72,7 @@ def crossing_faces(
                 b1 = vertices[faces[j, 1]]
                 b2 = vertices[faces[j, 2]]
                 for n in range(3):
-                    # The edge opposite to corner n
+                    # Edge opposite to corner n
                     if shared == 0 or n == mine:
                         p = vertices[faces[i, (n + 1) % 3]]
                         q = vertices[faces[i, (n + 2) % 3]]

@@ -1,4 +1,4 @@
-"""Sources visible from each point of a body, and the sound of only these."""
+"""Visibility of sources from the points of a body."""
 
 import warp as wp
 
@@ -7,9 +7,9 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 @wp.func
 def sees(mesh: wp.uint64, point: wp.vec3, normal: wp.vec3, ray: wp.vec3, distance: wp.float32, clearance: wp.float32):
-    """Whether the source at `ray` is in front of the surface and the mesh does not hide it.
+    """Return whether the source at `ray` is in front of the surface and not hidden by the mesh.
 
-    The ray starts `clearance` above the surface: the point may be on a finer mesh of the same body, slightly below.
+    The ray starts `clearance` above the surface, because the point may be on a finer mesh of the body, slightly below.
     """
     if wp.dot(ray, normal) <= 0.0:
         return False
@@ -27,7 +27,7 @@ def visibility(
     clearance: float,
     result: wp.array(dtype=float),
 ):
-    """Sum of the weights of the sources that each point sees."""
+    """Sum the weights of the sources that are visible from each point."""
     i = wp.tid()
     total = wp.float32(0.0)
     for e in range(sources.shape[0]):
@@ -41,7 +41,7 @@ def visibility(
 class Rays:
     """Arguments of `lit_by_flux` in one struct.
 
-    mesh: that casts shadows; points [m]; flux: direction of the sound there, any length; reach: of each ray [m]
+    mesh: mesh that casts shadows; points: [m]; flux: direction of the sound, any length; reach: ray lengths [m]
     clearance: height above the surface at which a ray starts [m]; lit: result
     """
 
@@ -55,10 +55,10 @@ class Rays:
 
 @wp.kernel
 def lit_by_flux(rays: Rays):
-    """1 if the ray back along the sound has no hit within its reach, else 0; 0 too in silence."""
+    """Set 1 if the ray back along the sound has no hit within its reach, else 0; also 0 in silence."""
     i = wp.tid()
     flux = rays.flux[i]
-    # Divided by its largest part first: the squares of faint sound would underflow
+    # Divided by its largest part first, because the squares of weak sound would underflow
     largest = wp.max(wp.max(wp.abs(flux[0]), wp.abs(flux[1])), wp.abs(flux[2]))
     rays.lit[i] = wp.uint8(0)
     if largest > 0.0:

@@ -1,6 +1,6 @@
-"""Substeps of a skin's reduced model on a device, under pressure from other kernels.
+"""Substeps of the reduced model of a skin on a device, with pressures from other kernels.
 
-Sums are computed in parts, each in a place of its own, and added up in a fixed order: equal input gives equal bits.
+Partial sums are stored separately and added in a fixed order, so that equal input gives equal bits.
 """
 
 import functools
@@ -11,9 +11,9 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 ROWS = 4
-"""Patterns of pressure for one thread, which share the numbers read from the matrix."""
+"""Number of pressure patterns per thread, which share the numbers read from the matrix."""
 LANES = 32
-"""Parts of a sum of squares."""
+"""Number of parts of a sum of squares."""
 
 
 @wp.kernel
@@ -25,9 +25,9 @@ def pressure_products(
     size: wp.int32,
     result: wp.array3d(dtype=wp.float32),
 ):
-    """Patterns of pressure at some points times a matrix (p, c), in chunks of `size` points, (chunks, w rows, c).
+    """Multiply pressure patterns at some points by a matrix (p, c), in chunks of `size` points, (chunks, w rows, c).
 
-    counts[w, 1]: number of patterns; pressure: [Pa], shape (w m, q); points: numbers of those used, (p,)
+    counts[w, 1]: number of patterns; pressure: [Pa], shape (w m, q); points: numbers of the used points, (p,)
     dim: (w rows / ROWS, chunks, c)
     """
     block, chunk, column = wp.tid()
@@ -53,7 +53,7 @@ def mixed_products(
     parts: wp.array3d(dtype=wp.float32),
     result: wp.array3d(dtype=wp.float64),
 ):
-    """Weighted sums of patterns, weights (w, s, m), of results of `pressure_products`, (w, s, c); dim: the same."""
+    """Compute weighted sums, weights (w, s, m), of the patterns in `pressure_products`, (w, s, c); dim: (w, s, c)."""
     world, substep, column = wp.tid()
     first = world * (parts.shape[1] // counts.shape[0])
     total = wp.float64(0.0)
@@ -69,13 +69,13 @@ def mixed_products(
 
 @functools.cache
 def of_rows(rows: int) -> tuple[Any, Any]:
-    """Types of a mode's state of `rows` numbers, and of its matrices."""
+    """Return the types of the state of a mode with `rows` numbers, and of its matrices."""
     return wp.types.vector(length=rows, dtype=wp.float64), wp.types.matrix(shape=(rows, rows), dtype=wp.float64)
 
 
 @functools.cache
 def lone_modes(rows: int) -> Any:
-    """Kernel of all substeps of modes whose states have `rows` numbers; dim: (worlds, modes)."""
+    """Return the kernel of all substeps of modes whose states have `rows` numbers; dim: (worlds, modes)."""
     numbers, square = of_rows(rows)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -88,7 +88,7 @@ def lone_modes(rows: int) -> Any:
         before: wp.array3d(dtype=wp.float64),
         after: wp.array3d(dtype=wp.float64),
     ):
-        """A mode's state becomes advance @ state + inputs * force in each substep from the first, before the last.
+        """Replace the state of a mode by advance @ state + inputs * force in substeps from the first, before the last.
 
         forces: of each substep, (w, s, at least r); before, after: states, (w, rows, r)
         """
@@ -108,7 +108,7 @@ def lone_modes(rows: int) -> Any:
 
 @functools.cache
 def modes_of_worlds(rows: int) -> Any:
-    """Kernel of all substeps of modes, whose states have `rows` numbers, in several worlds; dim: (worlds, modes)."""
+    """Return the kernel of all substeps of modes with `rows` numbers in several worlds; dim: (worlds, modes)."""
     numbers, square = of_rows(rows)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -120,10 +120,10 @@ def modes_of_worlds(rows: int) -> Any:
         states: wp.array3d(dtype=wp.float64),
         seen: wp.array2d(dtype=wp.float32),
     ):
-        """A mode's state becomes advance @ state + inputs * force in each substep, in place, (worlds, rows, r).
+        """Replace the state of a mode by advance @ state + inputs * force in each substep, in place, (worlds, rows, r).
 
-        pushes: of each world's pressure on the modes, (worlds, r); mixed: its amount, (worlds, s)
-        seen: filled with displacement and velocity after each substep, (worlds * s * 2, r); unused without rows
+        pushes: forces of the pressure of each world on the modes, (worlds, r); mixed: their factors, (worlds, s)
+        seen: filled with displacement and velocity after each substep, (worlds * s * 2, r); unused if empty
         """
         world, mode = wp.tid()
         state = numbers()
@@ -151,7 +151,7 @@ def mixed_rows(
     rows: wp.array3d(dtype=wp.float64),
     result: wp.array2d(dtype=wp.float64),
 ):
-    """Weighted sums of rows (w, k, n), weights (c, k), one after the other, (w, c * n); dim: (w, c, n)."""
+    """Compute weighted sums of rows (w, k, n), weights (c, k), in sequence, (w, c * n); dim: (w, c, n)."""
     world, matrix, column = wp.tid()
     total = wp.float64(0.0)
     for i in range(weights.shape[1]):
@@ -161,7 +161,7 @@ def mixed_rows(
 
 @wp.kernel
 def add_chunks(parts: wp.array3d(dtype=wp.float64), row: wp.int32, result: wp.array3d(dtype=wp.float64)):
-    """Parts (w, chunks, n) added to the first n numbers of a row of the result, (w, s, at least n); dim: (w, n)."""
+    """Add parts (w, chunks, n) to the first n numbers of a row of the result, (w, s, at least n); dim: (w, n)."""
     world, column = wp.tid()
     total = wp.float64(0.0)
     for chunk in range(parts.shape[1]):
@@ -175,7 +175,7 @@ def squares(
     starts: wp.array(dtype=wp.int32),
     result: wp.array4d(dtype=wp.float64),
 ):
-    """Parts of the sums of squares of groups of columns, starts[i] to starts[i + 1]; dim: (w, groups, s, LANES)."""
+    """Compute partial sums of squares of column groups, starts[i] to starts[i + 1]; dim: (w, groups, s, LANES)."""
     world, group, substep, lane = wp.tid()
     total = wp.float64(0.0)
     for column in range(starts[group] + lane, starts[group + 1], LANES):
@@ -192,9 +192,9 @@ def state_products(
     size: wp.int32,
     result: wp.array3d(dtype=wp.float64),
 ):
-    """State (w, n) and forces (w, f), side by side, times a matrix (n + f, n), in chunks of `size`, (w, chunks, n).
+    """Multiply state (w, n) and forces (w, f), joined, by a matrix (n + f, n), in chunks of `size`.
 
-    dim: the result's
+    dim: that of the result, (w, chunks, n)
     """
     world, chunk, column = wp.tid()
     count = before.shape[1]
@@ -209,7 +209,7 @@ def state_products(
 
 @wp.kernel
 def sums_of_chunks(parts: wp.array3d(dtype=wp.float64), result: wp.array2d(dtype=wp.float64)):
-    """Parts (w, chunks, n) added up, (w, n); dim: the same."""
+    """Sum the parts (w, chunks, n) to (w, n); dim: (w, n)."""
     world, column = wp.tid()
     total = wp.float64(0.0)
     for chunk in range(parts.shape[1]):

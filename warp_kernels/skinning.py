@@ -1,4 +1,4 @@
-"""Linear blend skinning of a triangle mesh, its normals, and its faces."""
+"""Linear blend skinning of a triangle mesh, with normals and faces."""
 
 import warp as wp
 
@@ -14,7 +14,7 @@ def blend_bones(
     shifts: wp.array[wp.vec3],
     out: wp.array[wp.vec3],
 ):
-    """Each vertex moves by the weighted mean of up to four bones' motions; a bone takes x to rotation x + shift."""
+    """Move vertices by the weighted mean of up to four bone motions; a bone moves x to rotation x + shift."""
     i = wp.tid()
     rotation = wp.mat33()
     shift = wp.vec3()
@@ -33,9 +33,9 @@ def normals_by_angle(
     corners: wp.array[wp.int32],
     out: wp.array[wp.vec3],
 ):
-    """Mean of the faces about a vertex, each weighted by its angle there.
+    """Compute vertex normals as means of the face normals, weighted by corner angle.
 
-    The corners of vertex i are corners[first[i]:first[i + 1]], each three times the face plus its place in the face.
+    The corners of vertex i are corners[first[i]:first[i + 1]], each three times the face number plus the corner number.
     """
     i = wp.tid()
     total = wp.vec3()
@@ -60,7 +60,7 @@ def face_samples(
     normals: wp.array[wp.vec3d],
     areas: wp.array[wp.float64],
 ):
-    """Centroid, unit normal and area of each face; the normal of a face without area is zero."""
+    """Compute centroid, unit normal and area of each face; the normal of a face without area is zero."""
     i = wp.tid()
     face = faces[i]
     a = vertices[face[0]]

@@ -1,11 +1,11 @@
 """Substeps of a layer with a factorised matrix stored as dense blocks of supernodes, in float64 on the CPU.
 
-A supernode is a run of unknowns that are eliminated together. Its block holds, of a matrix L D L^T, the inverse of its
-own part, S^-1, and B = L_below L_own^-1, so that a solve is two passes of products with dense blocks:
+A supernode is a run of unknowns that are eliminated together. For a matrix L D L^T its block contains the inverse of
+the diagonal block, S^-1, and B = L_below L_own^-1, so that a solution is two passes of products with dense blocks:
 
     forward  u_k = S_k^-1 b_k,  b_below -= B_k b_k,    backward  x_k = u_k - B_k^T x_below.
 
-Blocks are stored WIDTH rows by WIDTH rows, in the order in which both passes read them.
+Blocks are stored in groups of WIDTH rows, in the order in which both passes read them.
 """
 
 import warp as wp
@@ -22,8 +22,8 @@ rows_of_group = wp.types.vector(length=ROWS, dtype=wp.float64)
 
 @wp.struct
 class Supernodes:
-    """column: first unknown; size: unknowns; below: groups of WIDTH rows below; value: beginning of its block in
-    `values`; row: beginning of its rows below in `rows`, whose padding is the unknown after the last."""
+    """Supernodes. column: first unknown; size: number of unknowns; below: groups of WIDTH rows below; value: start of
+    the block in `values`; row: start of the rows below in `rows`, which is padded by the unknown after the last."""
 
     column: wp.array(dtype=wp.int32)
     size: wp.array(dtype=wp.int32)
@@ -36,8 +36,8 @@ class Supernodes:
 
 @wp.struct
 class GroupedRows:
-    """A sparse matrix by groups of ROWS rows, each with the columns in which one of them has a number. rows: their
-    numbers, padded by the place after the last; start: beginning of each group's columns in `columns` and `values`."""
+    """Sparse matrix in groups of ROWS rows, each with the union of the columns of its rows. rows: row numbers, padded
+    by the number after the last; start: start of the columns of each group in `columns` and `values`."""
 
     rows: wp.array(dtype=wp.int32)
     start: wp.array(dtype=wp.int32)
@@ -47,12 +47,12 @@ class GroupedRows:
 
 @wp.struct
 class Substep:
-    """Data that all parts of a layer share in a substep. Places are numbered as in the factor.
+    """Common data of all parts of a layer in a substep. Unknowns are numbered as in the factor.
 
-    weights, forces: of patterns of the load, (k,) and (k, n); matrix @ sums: what the old state adds to the right side
-    solved: between the passes, (n,); solution, in_lanes: after them, the same memory twice
-    rows: the state; carry, follow: it becomes carry @ rows + follow (solution + the last of the sums)
-    into_sums: sums are into_sums @ rows; sums, flat_sums: the same memory twice
+    weights, forces: of load patterns, (k,) and (k, n); matrix @ sums: contribution of the old state to the right side
+    solved: result of the forward pass, (n,); solution, in_lanes: result of the backward pass, two views of one memory
+    rows: state; it becomes carry @ rows + follow (solution + the last of the sums)
+    into_sums: sums are into_sums @ rows; sums, flat_sums: two views of one memory
     """
 
     weights: wp.array(dtype=wp.float64)
@@ -72,10 +72,10 @@ class Substep:
 
 @wp.struct
 class Part:
-    """Places, supernodes and groups of rows of a part, each from the first to the one after the last.
+    """Unknowns, supernodes and row groups of a part, each from the first to the one after the last.
 
-    right: its right side, and its change of that of the trunk, (n + 1,)
-    work, old: as long as the widest supernode has unknowns, and as a state has rows
+    right: right side of the part, and its contribution to that of the trunk, (n + 1,)
+    work, old: work arrays with one entry per unknown of the widest supernode, and per row of a state
     """
 
     first: wp.int32
@@ -91,7 +91,7 @@ class Part:
 
 @wp.func
 def weigh(part: Part, step: Substep):
-    """Begin the right side with the load's forces: weights @ forces."""
+    """Set the right side to the forces of the load, weights @ forces."""
     for row in range(part.first, part.last):
         part.right[row] = wp.float64(0.0)
     for k in range(step.weights.shape[0]):
@@ -107,7 +107,7 @@ def multiply(part: Part, step: Substep):
     for group in range(part.first_group, part.last_group):
         begin = step.matrix.start[group]
         end = step.matrix.start[group + 1]
-        # Two sums, so that one product does not wait for the other
+        # Two sums, so that products do not wait for each other
         even = rows_of_group()
         odd = rows_of_group()
         for pair in range((end - begin) // 2):
@@ -124,7 +124,7 @@ def multiply(part: Part, step: Substep):
 
 @wp.func
 def forward(part: Part, step: Substep):
-    """Forward pass: subtracts from the right side below, and fills `solved`."""
+    """Run the forward pass, which subtracts from the right side below and fills `solved`."""
     for k in range(part.first_node, part.last_node):
         size = step.nodes.size[k]
         begin = step.nodes.column[k]
@@ -151,7 +151,7 @@ def forward(part: Part, step: Substep):
 
 @wp.func
 def collect(parts: wp.array(dtype=wp.float64), part: Part):
-    """Add another part's change to the right side, and set it to 0 there."""
+    """Add the contribution of another part to the right side, and set the contribution to 0."""
     for row in range(part.first, part.last):
         part.right[row] = part.right[row] + parts[row]
         parts[row] = wp.float64(0.0)
@@ -159,7 +159,7 @@ def collect(parts: wp.array(dtype=wp.float64), part: Part):
 
 @wp.func
 def backward(part: Part, step: Substep):
-    """Backward pass, after the solution below is computed."""
+    """Run the backward pass, after the solution below is computed."""
     for back in range(part.last_node - part.first_node):
         k = part.last_node - 1 - back
         size = step.nodes.size[k]
@@ -186,7 +186,7 @@ def backward(part: Part, step: Substep):
 
 @wp.func
 def add_up(first: wp.int32, last: wp.int32, step: Substep):
-    """Sums of the state in groups first..last - 1 of places."""
+    """Compute the sums of the state in groups first..last - 1 of unknowns."""
     for group in range(first, last):
         for i in range(step.sums.shape[0]):
             total = lanes()
@@ -197,7 +197,7 @@ def add_up(first: wp.int32, last: wp.int32, step: Substep):
 
 @wp.func
 def advance(part: Part, step: Substep):
-    """The new state, and its sums."""
+    """Compute the new state and its sums."""
     count = step.rows.shape[0]
     offset = step.sums.shape[0] - 1
     for group in range(part.first // WIDTH, part.last // WIDTH):
@@ -214,16 +214,16 @@ def advance(part: Part, step: Substep):
 
 @wp.kernel
 def begin_substeps(step: Substep):
-    """The sums of the state that the first substep takes."""
+    """Compute the sums of the state for the first substep."""
     add_up(0, step.rows.shape[1], step)
 
 
-# Both passes of a branch in one launch: two threads that return from a launch wait for each other
+# Both passes of a branch are in one launch, because threads wait for each other after a launch
 
 
 @wp.kernel
 def go_down(part: Part, step: Substep):
-    """Forward pass of a branch to the trunk."""
+    """Run the forward pass of a branch."""
     weigh(part, step)
     multiply(part, step)
     forward(part, step)
@@ -231,7 +231,7 @@ def go_down(part: Part, step: Substep):
 
 @wp.kernel
 def turn_round(part: Part, step: Substep):
-    """Backward pass of a branch, and the forward pass of the next substep, whose weights are available."""
+    """Run the backward pass of a branch and the forward pass of the next substep, whose weights are available."""
     backward(part, step)
     advance(part, step)
     weigh(part, step)
@@ -241,14 +241,14 @@ def turn_round(part: Part, step: Substep):
 
 @wp.kernel
 def go_up(part: Part, step: Substep):
-    """Backward pass of a branch at the end."""
+    """Run the last backward pass of a branch."""
     backward(part, step)
     advance(part, step)
 
 
 @wp.kernel
 def pass_trunk(part: Part, one: wp.array(dtype=wp.float64), other: wp.array(dtype=wp.float64), step: Substep):
-    """Both passes of the trunk; one, other: right sides of the branches."""
+    """Run both passes of the trunk; one, other: right sides of the branches."""
     weigh(part, step)
     multiply(part, step)
     collect(one, part)

@@ -1,4 +1,4 @@
-"""The field of each single transducer at fixed points, and radiation pressure from products with it."""
+"""Fields of single transducers at fixed points, and radiation pressure from products with them."""
 
 import warp as wp
 
@@ -33,9 +33,11 @@ def matrix(
     sound: Sound,
     result: wp.array(dtype=wp.float32, ndim=3),
 ):
-    """result[e, 0 and 4, i]: real and imaginary pressure [Pa] at point i for unit drive of transducer e; [e, 1..3 and
-    5..7, i]: its gradient over k along the rows of axes[i] [Pa], the last of which is the outward normal of an opaque
-    surface. The formula is that of `gradient.gradient` with the form `faced`. WIDTH points a thread.
+    """Compute the fields of single transducers; WIDTH points per thread.
+
+    result[e, 0 and 4, i]: real and imaginary pressure [Pa] at point i for unit drive of transducer e; [e, 1..3 and
+    5..7, i]: its gradient over k along the rows of axes[i] [Pa]; the last row is the outward normal of an opaque
+    surface. The formula is that of `gradient.gradient` with the form `faced`.
     """
     block, e = wp.tid()
     first = block * WIDTH
@@ -121,7 +123,7 @@ def arp_row(
     first: wp.int32,
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
-    """In C, as Warp's indexing uses strides, which LLVM cannot vectorise: a tenth of the speed."""
+    """Compute a row in C, because LLVM cannot vectorise Warp's strided indexing, which is ten times slower."""
     ...
 
 
@@ -135,10 +137,10 @@ def arp_rows(
     first: wp.int32,
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
-    """ARP [Pa] from products with the blocks of `matrix`, a frame a thread: the form for the CPU.
+    """Compute the ARP [Pa] from products with the blocks of `matrix`, one frame per thread, on the CPU.
 
-    parts: by block, row and point; the first `frames` rows are of the drives' real parts, the next of their imaginary
-        parts, so that a product's real part is parts[j, f] - parts[4 + j, frames + f]
+    parts: by block, row and point; the first `frames` rows are those of the real parts of the drives, the next those of
+        the imaginary parts, so that the real part of a product is parts[j, f] - parts[4 + j, frames + f]
     """
     frame = wp.tid()
     arp_row(parts, frames, width, weights, frame, first_frame, first, result)
@@ -151,9 +153,9 @@ def arp_in_span(
     weights: wp.vec3,
     result: wp.array2d(dtype=lanes),
 ):
-    """ARP [Pa] of sums of a few fields, WIDTH points a thread.
+    """Compute the ARP [Pa] of sums of a few fields, WIDTH points per thread.
 
-    fields: the numbers of `matrix` for each, shape (blocks, r, 8); shares: amplitude of each, shape (m, r)
+    fields: numbers of `matrix` for each field, shape (blocks, r, 8); shares: amplitudes of the fields, shape (m, r)
     result: shape (m, blocks)
     """
     block = wp.tid()
@@ -192,7 +194,7 @@ def arp_columns(
     first: int,
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
-    """ARP [Pa] from a row of eight blocks, see `matrix`, one point and frame a thread: the form for GPUs."""
+    """Compute the ARP [Pa] from a row of eight blocks, see `matrix`, one point and frame per thread, on a GPU."""
     frame, k = wp.tid()
     count = parts.shape[1] / 8
     s_re = parts[frame, count + k]

@@ -12,7 +12,7 @@ def wedge_gradients(
     gradients: wp.array3d(dtype=wp.vec3d),
     weights: wp.array2d(dtype=wp.float64),
 ):
-    """Spatial gradient of each shape function [1/m] and weight x det J [m^3], by element and quadrature point."""
+    """Compute gradients of shape functions [1/m] and weight x det J [m^3], by element and quadrature point."""
     e, q = wp.tid()
     jacobian = wp.mat33d()
     for a in range(corners.shape[1]):
@@ -31,7 +31,7 @@ def wedge_constraint(
     constraint: wp.array3d(dtype=wp.vec3d),
     gram: wp.array3d(dtype=wp.float64),
 ):
-    """C[a, i] = integral of w_a grad N_i, and H[a, b] = integral of w_a w_b, over each element."""
+    """Compute C[a, i] = integral of w_a grad N_i, and H[a, b] = integral of w_a w_b, over each element."""
     e, a = wp.tid()
     for q in range(weights.shape[1]):
         factor = weights[e, q] * volume_basis[q, a]
@@ -52,7 +52,7 @@ def wedge_matrices(
     volumetric: wp.array3d(dtype=wp.mat33d),
     mass: wp.array3d(dtype=wp.float64),
 ):
-    """Blocks (i, j) of each element's matrices for unit shear modulus, unit bulk modulus and unit density.
+    """Compute blocks (i, j) of the element matrices for unit shear modulus, unit bulk modulus and unit density.
 
     Deviatoric: 2 dev(eps) : dev(eps) = grad u : grad u + grad u : grad u^T - 2/3 (div u)^2.
     Volumetric: C^T H^-1 C, the square of the volumetric strain projected on the volume basis.

@@ -1,4 +1,4 @@
-"""Worlds of one scene on a device: MuJoCo's frames converted to motions of points, and readings of their skins."""
+"""Worlds of one scene on a device: conversion of MuJoCo's frames to motions of points, and readings of skins."""
 
 import warp as wp
 
@@ -7,7 +7,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def seen_from_first(places: wp.array2d(dtype=wp.vec3d), world: wp.int32, row: wp.int32, turn: wp.mat33d):
-    """Origin of a row relative to the first one, whose axes are the columns of `turn`."""
+    """Return the origin of a row relative to the first row, whose axes are the columns of `turn`."""
     return wp.transpose(turn) * (places[world, row] - places[world, 0])
 
 
@@ -21,10 +21,10 @@ def place_parts(
     shifts: wp.array2d(dtype=wp.vec3d),
     origins: wp.array2d(dtype=wp.vec3d),
 ):
-    """Motions of bodies and bones relative to the first row's frame; dim: (worlds, parts).
+    """Compute the motions of bodies and bones relative to the frame of the first row; dim: (worlds, parts).
 
-    places [m], axes: MuJoCo's frames, shape (worlds, rows), the first array's in front; rows: of each part, shape (p,)
-    rest: each part's origin in the resting body [m]; origins: its present place
+    places [m], axes: frames of MuJoCo, shape (worlds, rows), that of the first array first; rows: of each part, (p,)
+    rest: origin of each part in the body at rest [m]; origins: present origin of each part
     """
     w, i = wp.tid()
     first = axes[w, 0]
@@ -43,7 +43,7 @@ def place_foci(
     own: wp.array2d(dtype=wp.vec3d),
     foci: wp.array2d(dtype=wp.vec3d),
 ):
-    """Points of a stimulus [m], shape (worlds, f), from its frame, in a row, to the first row's; dim: the same."""
+    """Transform points of a stimulus [m], shape (worlds, f), from its frame to that of the first row; dim: the same."""
     w, i = wp.tid()
     first = axes[w, 0]
     foci[w, i] = wp.transpose(first) * (axes[w, row] * own[w, i]) + seen_from_first(places, w, row, first)
@@ -58,9 +58,9 @@ def heights(
     boards: wp.array(dtype=wp.vec4d),
     result: wp.array2d(dtype=wp.float64),
 ):
-    """Height of the lowest corner of each part's box over the highest board [m]; dim: (worlds, parts).
+    """Compute the height of the lowest corner of each part's box over the highest board [m]; dim: (worlds, parts).
 
-    centres, halves: of the boxes, in the parts' axes [m]; boards: a normal, and the height of the board along it [m]
+    centres, halves: of the boxes, in the axes of the parts [m]; boards: normal, and height of the board along it [m]
     """
     w, i = wp.tid()
     lowest = wp.float64(wp.inf)
@@ -76,7 +76,7 @@ def heights(
 
 @wp.kernel
 def sums_of_squares(parts: wp.array4d(dtype=wp.float64), result: wp.array2d(dtype=wp.float64)):
-    """Sums over substeps and lanes of results of `skin_steps.squares`, shape (worlds, groups); dim: the same."""
+    """Sum the results of `skin_steps.squares` over substeps and lanes, shape (worlds, groups); dim: the same."""
     w, group = wp.tid()
     total = wp.float64(0.0)
     for substep in range(parts.shape[2]):
@@ -89,9 +89,9 @@ def sums_of_squares(parts: wp.array4d(dtype=wp.float64), result: wp.array2d(dtyp
 def read_modes(
     states: wp.array3d(dtype=wp.float64), matrix: wp.array2d(dtype=wp.float64), result: wp.array3d(dtype=wp.float64)
 ):
-    """Displacement and velocity of modes, the first two rows of states (w, rows, n), times a matrix (n, m), (w, 2, m).
+    """Multiply displacement and velocity of modes, the first two rows of states (w, rows, n), by a matrix (n, m).
 
-    dim: the result's
+    dim: that of the result, (w, 2, m)
     """
     w, row, column = wp.tid()
     total = wp.float64(0.0)
@@ -104,7 +104,7 @@ def read_modes(
 def take_over(
     active: wp.array2d(dtype=wp.int32), values: wp.array2d(dtype=wp.float64), result: wp.array2d(dtype=wp.float64)
 ):
-    """Copy the rows of active worlds, those whose first number is not 0; dim: the result's, (worlds, n)."""
+    """Copy the rows of active worlds, whose first number is not 0; dim: that of the result, (worlds, n)."""
     w, i = wp.tid()
     if active[w, 0] != 0:
         result[w, i] = values[w, i]
@@ -112,7 +112,7 @@ def take_over(
 
 @wp.kernel
 def largest(values: wp.array2d(dtype=wp.vec2d), result: wp.array(dtype=wp.float64)):
-    """Largest magnitude of each row; dim: rows."""
+    """Compute the largest magnitude of each row; dim: rows."""
     row = wp.tid()
     most = wp.float64(0.0)
     for i in range(values.shape[1]):
