@@ -19,16 +19,16 @@ from palmfield.estimate.numerics.mesh_error import mesh_error, meshes_to_compare
 from palmfield.estimate.numerics.other_layers import (
     Ends,
     edge_error,
-    held_anywhere,
     material_band,
     other_materials,
     other_sides,
 )
-from palmfield.estimate.numerics.point_response import Response, course_change, side_by_side
+from palmfield.estimate.numerics.point_response import Response, course_change, solve_all
 from palmfield.session.loudest_moment import LoudestMoment, place_under_focus
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.from_config import softest_and_stiffest_sheets
+from palmfield.skin.reduction.point_model import TOLERANCE, PointModel
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frames_at
@@ -69,8 +69,8 @@ def error_estimate(
     materials: whether the ranges of materials are evaluated too.
 
     mesh: solvers with an ExplicitLayer report their own estimate of mesh and steps. For all others, Richardson's rule
-        on the mesh of the scene and one finer by RATIO or more (coarser for more than FINER_BELOW unknowns and at least
-        LAYERS rows of elements). The result is the largest of three errors: of the static response, of the harmonic
+        on the mesh of the scene and a coarser one (a finer one for few unknowns), see `meshes_to_compare`, by reduced
+        models of the point. The result is the largest of three errors: of the static response, of the harmonic
         response, and of the motion after the sound begins, with the level of the stimulus and a fixed focus. The last
         is an L2 norm over time, to the end of the run, at most LONGEST_COURSE_S. The frequency is the main one of the
         stimulus, or else half of the highest frequency of mesh and step.
@@ -149,33 +149,32 @@ def _estimate(
     materials: Ends | None,
 ) -> dict[str, float]:
     frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
-    other, ratio, middles = meshes_to_compare(layer, finer)
+    other, ratio, middles, more_rows = meshes_to_compare(layer, finer)
     low, high = (layer, other) if finer else (other, layer)
-    exact_in_time = small is not None and small.exact_in_time and not left_small_model
-    coarse = Response(low, sound.on(low), point, scheme_too=not exact_in_time)
-    fine = Response(high, sound.on(high), point)
+    coarse, fine = (Response(each, sound.on(each), point) for each in (low, high))
+    own = coarse if finer else fine
     between = [Response(middle, sound.on(middle), point) for middle in middles]
+    deeper = None if more_rows is None else Response(more_rows, sound.on(more_rows), point)
+    rest = between if deeper is None else [*between, deeper]
     cut = other_sides(low, sound, point)
     ends = other_materials(coarse, materials)
-    # The most expensive first, so that cheaper ones run in parallel
-    side_by_side(
-        fine.swing,
-        coarse.swing,
-        *(other.swing for other in (*between, *cut, *ends)),
-        fine.begin,
-        coarse.begin,
-        *(other.begin for other in between),
-        *(other.rest for other in (*held_anywhere(cut), *ends)),
-    )
+    predicted = small is not None and small.any_course and not (small.any_pose or left_small_model)
+    if small is not None and predicted and small.error <= TOLERANCE and not finer:
+        # The model that stepped this load is as accurate as the one that would be made for it here
+        pressure = own.pressure if small.points is None else own.pressure[small.points]
+        projection = small.projected(pressure, layer.probe(point).operator)
+        own.small = PointModel(projection, small.error, layer.system.supported)
+        solve_all([coarse, *rest, *cut])
+    else:
+        solve_all([fine, coarse, *rest, *cut])
     times, levels = level(step_s / MOMENTS_A_STEP)
-    moved = {response: response.small.moved(levels, times) for response in (coarse, fine, *between)}
-    mesh = mesh_error(coarse, fine, between, moved, ratio, of_coarse=finer)
+    moved = {response: response.small.moved(levels, times) for response in (coarse, fine, *rest)}
+    mesh = mesh_error(coarse, fine, between, deeper, moved, ratio, of_coarse=finer)
     step = 1.0 - float(np.sinc(frequency * step_s)) ** 2
-    if not exact_in_time:
-        step = abs(coarse.scheme - coarse.harmonic) / abs(coarse.harmonic)
+    if small is None or not small.exact_in_time or left_small_model:
+        step = abs(coarse.discrete - coarse.harmonic) / abs(coarse.harmonic)
         stepped = coarse.small.stepped(level(step_s)[1], step_s)
         step = max(step, course_change(stepped, moved[coarse][::MOMENTS_A_STEP]))
-    own = coarse if low is layer else fine
     reduction = 0.0 if small is None else _reduction_error(small, own)
     return _as_numbers(mesh, step, reduction, edge_error(coarse, cut)) | material_band(coarse, ends)
 
@@ -206,11 +205,7 @@ def _explicit_estimate(
     own = Response(layer, sound.on(layer), point)
     edge, cut, ends = 0.0, other_sides(layer, sound, point), other_materials(own, materials)
     if cut or ends:
-        side_by_side(
-            own.swing,
-            *(other.swing for other in (*cut, *ends)),
-            *(other.rest for other in (own, *held_anywhere(cut), *ends)),
-        )
+        solve_all([own, *cut])
         edge = edge_error(own, cut)
     return _as_numbers(stepper.error, step, 0.0, edge) | material_band(own, ends)
 

@@ -84,10 +84,12 @@ def layer_sizes(
     path_reach_m: tuple[float, float],
     timestep_s: float,
     resizing: float = 1.0,
+    rows: int | None = None,
 ) -> LayerSizes:
     """Sizes of the layer of a scene for its target accuracy; see LayerDemand.
 
-    sheets: of the layer, thicknesses as shares. resizing: factor of all element sizes.
+    sheets: of the layer, thicknesses as shares. resizing: factor of all element sizes. rows: of elements in depth, by
+        default the number for these sizes.
     Raises SceneError for a step_s that doesn't divide the timestep, and for a timestep that is not finite.
     """
     needs = slowest(sheets, max_frequency_Hz), spot_fwhm_m, max_frequency_Hz
@@ -99,8 +101,10 @@ def layer_sizes(
         coarse, fine = max(coarse * config.element_m / fine, config.element_m), config.element_m
     if resizing != 1.0:
         fine, coarse = fine * resizing, coarse * resizing
-        rows = (len(shares) - 1) / resizing
-        rows = math.ceil(rows) if resizing < 1 else max(1, math.floor(rows))
+    if rows is None:
+        rows_exact = (len(shares) - 1) / resizing
+        rows = math.ceil(rows_exact) if resizing < 1 else max(1, math.floor(rows_exact))
+    if rows != len(shares) - 1:
         shares = np.interp(np.linspace(0, 1, rows + 1), np.linspace(0, 1, len(shares)), shares)
     shares, _ = element_rows(sheets, shares)
     near, far = path_reach_m
@@ -127,7 +131,8 @@ class SceneLayer:
     surface: the closed surface of the whole body in its frame, None for shape "disc".
     depth_m: largest depth of the layer below the vertices of the surface [m], shape (n,), or one number.
     centre_m: middle of the layer, body frame [m], shape (3,). demand: see LayerDemand.
-    resizing: factor of all element sizes. named: adds the name of the skin to errors.
+    resizing, rows: factor of all element sizes, and number of rows, see `layer_sizes`. named: adds the name of the
+        skin to errors.
     sheets: other materials than those of the keys; the mesh is that for the materials of the keys.
     """
 
@@ -140,23 +145,29 @@ class SceneLayer:
         demand: LayerDemand,
         *,
         resizing: float = 1.0,
+        rows: int | None = None,
         named: naming = UNNAMED,
         sheets: tuple[Sheet, ...] | None = None,
     ) -> None:
         self.config, self.surface, self.depth_m, self.centre_m = config, surface, depth_m, centre_m
-        self.demand, self.resizing, self.named = demand, resizing, named
+        self.demand, self.resizing, self.rows, self.named = demand, resizing, rows, named
         with named:
             self.sheets = sheets_of(config) if sheets is None else sheets
         self.lock = threading.RLock()
 
-    def resized(
-        self, factor: float, *, side: Side | None = None, sheets: tuple[Sheet, ...] | None = None
-    ) -> "SceneLayer":
-        """The same layer with elements of `factor` times the chosen size, and perhaps other cut faces or materials."""
+    def resized(self, factor: float, rows: int | None = None) -> "SceneLayer":
+        """The same layer with elements of `factor` times the chosen size, and perhaps another number of rows."""
+        return SceneLayer(
+            self.config, self.surface, self.depth_m, self.centre_m, self.demand,
+            resizing=factor, rows=rows, named=self.named,
+        )  # fmt: skip
+
+    def altered(self, *, side: Side | None = None, sheets: tuple[Sheet, ...] | None = None) -> "SceneLayer":
+        """The same layer on elements of the same size, with other cut faces or materials."""
         config = self.config if side is None else self.config.model_copy(update={"side": side})
         return SceneLayer(
             config, self.surface, self.depth_m, self.centre_m, self.demand,
-            resizing=factor, named=self.named, sheets=sheets,
+            resizing=self.resizing, rows=self.rows, named=self.named, sheets=sheets,
         )  # fmt: skip
 
     @locked_cached_property
@@ -166,7 +177,7 @@ class SceneLayer:
         with self.named:
             sizes = layer_sizes(
                 self.config, sheets_of(self.config), demand.spot_fwhm_m, demand.max_frequency_Hz, demand.path_reach_m,
-                demand.timestep_s, self.resizing,
+                demand.timestep_s, self.resizing, self.rows,
             )  # fmt: skip
         return replace(sizes, step_s=min(sizes.step_s, demand.longest_step_s))
 

@@ -29,8 +29,7 @@ def moved(path):
     layer = palmfield.load(path).runtime.model.skins[0].layer
     radii = np.linalg.norm(layer.quadrature.points - layer.centre_m, axis=1)
     response = Response(layer, np.exp(-4.0 * np.log(2.0) * (radii / layer.demand.spot_fwhm_m) ** 2), layer.centre_m)
-    response.rest()
-    response.swing()
+    response.solve()
     return abs(response.static) + abs(response.harmonic), layer
 
 

@@ -301,7 +301,7 @@ def test_a_cut_edge_counts_at_rest_as_well(small_scene, moment):
     layer = scene.runtime.model.skins[0].layer
     load, frequency = unit(scene), layer.demand.main_frequency_Hz
     still, swung = [], []
-    for one in (layer, layer.resized(layer.resizing, side="free")):
+    for one in (layer, layer.altered(side="free")):
         force, read = one.quadrature.operator @ load, one.probe(np.zeros(3)).operator
         still.append((read @ static(one.system, force))[0])
         swung.append((read @ harmonic(one.system, force, frequency))[0])

@@ -1,25 +1,33 @@
-"""A point's small model against the whole layer: substeps, courses of time, rest."""
+"""A point's small model against the whole layer: rest, harmonic motion, substeps, courses of time."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from palmfield import SceneError
+from palmfield import SceneError, cache
 from palmfield.skin import Sheet, Slab, Spot, preset
 from palmfield.skin.fem.body import build
 from palmfield.skin.fem.probe import SurfaceProbe
-from palmfield.skin.fem.solver import static
+from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.materials.material import Material
+from palmfield.skin.reduction import point_model as module
 from palmfield.skin.reduction.point_model import TOLERANCE, WINDOW_S, point_model
 from palmfield.skin.solvers.wedges import first_sizes
 from palmfield.skin.stepper import SurfaceLoads
 
-HIGHEST_Hz = 200.0
+MAIN_Hz, HIGHEST_Hz = 100.0, 200.0
+STEP_s = 2.5e-4
 
 
-def disc(material: str, base: str = "bonded", side: str = "fixed"):
-    """System, a held spot's pressures, force and the middle's readings of a disc."""
-    body = Slab((Sheet(preset(material), 0.01),), shape="disc", base=base, side=side, radius_m=0.03)
+def disc(*materials: str | Material, base: str = "bonded", side: str = "fixed"):
+    """System, a held spot's pressures, force and the middle's readings of a disc of equally thick sheets."""
+    sheets = [preset(each) if isinstance(each, str) else each for each in materials]
+    body = Slab(
+        tuple(Sheet(each, 0.01 / len(sheets)) for each in sheets), shape="disc", base=base, side=side, radius_m=0.03
+    )
     load = Spot(0.0103, [0.0], [1.0], law="held")
     system = build(body, first_sizes(body, load, np.zeros((1, 3)), 0.3))
     history = PressureHistory(load, system.mesh, system)
@@ -33,7 +41,7 @@ def disc(material: str, base: str = "bonded", side: str = "fixed"):
 )
 def test_substeps_of_a_small_model_are_those_of_the_whole_layer(material: str, step_s: float, ramp_s: float) -> None:
     system, history, force, probe = disc(material)
-    small = point_model(system, force, probe.toarray()[2], HIGHEST_Hz)
+    (small,) = point_model(system, force, probe.toarray()[2], MAIN_Hz, HIGHEST_Hz)
     moved, levels = [], []
     for step in (step_s, step_s / 16.0):
         stepper = WedgeStepper(system, history.operator, step)
@@ -61,9 +69,63 @@ def test_substeps_of_a_small_model_are_those_of_the_whole_layer(material: str, s
 def test_it_rests_where_the_layer_rests_and_not_where_nothing_holds_it() -> None:
     system, _, force, probe = disc("palm")
     read = probe.toarray()[2]
-    assert point_model(system, force, read, HIGHEST_Hz).static() == pytest.approx(
-        read @ static(system, force), rel=1e-4
-    )
+    (small,) = point_model(system, force, read, MAIN_Hz, HIGHEST_Hz)
+    assert small.static() == pytest.approx(read @ static(system, force), rel=1e-4)
     system, _, force, probe = disc("palm", base="free", side="free")
     with pytest.raises(SceneError, match="a static solution needs a support"):
-        point_model(system, force, probe.toarray()[2], HIGHEST_Hz).static()
+        point_model(system, force, probe.toarray()[2], MAIN_Hz, HIGHEST_Hz)[0].static()
+
+
+def whole(system, force, read, f_Hz):
+    """The response of the whole layer: at rest, harmonic, and by substeps."""
+    fields = static(system, force), harmonic(system, force, f_Hz), harmonic_discrete(system, force, f_Hz, STEP_s)
+    return np.array([read @ field for field in fields])
+
+
+def in_model(small, f_Hz):
+    return np.array([small.static(), small.harmonic(f_Hz), small.discrete(f_Hz, STEP_s)])
+
+
+@pytest.mark.parametrize(("base", "side"), [("bonded", "fixed"), ("bonded", "absorbing"), ("free_slip", "roller")])
+@pytest.mark.parametrize("f_Hz", [30.0, 100.0, 200.0])
+def test_it_swings_as_the_whole_layer(base: str, side: str, f_Hz: float) -> None:
+    system, _, force, probe = disc("palm", base=base, side=side)
+    read = probe.toarray()[2]
+    (small,) = point_model(system, force, read, f_Hz, HIGHEST_Hz)
+    expected = whole(system, force, read, f_Hz)
+    assert abs(expected[2] - expected[1]) > 1e-4 * abs(expected[1])
+    np.testing.assert_allclose(in_model(small, f_Hz), expected, rtol=0.5 * TOLERANCE)
+
+
+def scaled(material: Material, factor: float) -> Material:
+    branches = tuple(replace(one, shear_Pa=factor * one.shear_Pa) for one in material.branches)
+    return replace(material, shear_relaxed_Pa=factor * material.shear_relaxed_Pa, branches=branches)
+
+
+@pytest.mark.parametrize("factors", [(0.6, 0.6), (1.7, 1.7), (0.6, 1.7), (1.7, 0.6)])
+def test_other_materials_on_the_same_mesh_swing_as_they_do_alone(factors: tuple[float, float]) -> None:
+    """Two sheets whose moduli change together, and one against the other."""
+    sheets = preset("palm"), preset("finger_pad")
+    changed = [scaled(sheet, factor) for sheet, factor in zip(sheets, factors, strict=True)]
+    (system, _, force, probe), (other, _, same, _) = disc(*sheets), disc(*changed)
+    np.testing.assert_array_equal(same, force)
+    read = probe.toarray()[2]
+    _, small = point_model(system, force, read, MAIN_Hz, HIGHEST_Hz, [other])
+    expected = whole(other, force, read, MAIN_Hz)
+    assert abs(expected[1]) != pytest.approx(abs(whole(system, force, read, MAIN_Hz)[1]), rel=0.1)
+    np.testing.assert_allclose(in_model(small, MAIN_Hz), expected, rtol=0.01)
+
+
+def test_the_same_load_at_another_level_needs_no_factor(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("PALMFIELD_CACHE", str(tmp_path))
+    system, _, force, probe = disc("palm")
+    read = probe.toarray()[2]
+    (first,) = point_model(system, force, read, MAIN_Hz, HIGHEST_Hz)
+    monkeypatch.setattr(module, "Krylov", lambda *_: pytest.fail("solved again"))
+    (again,) = point_model(system, 3.7 * force, read, MAIN_Hz, HIGHEST_Hz)
+    np.testing.assert_allclose(in_model(again, MAIN_Hz), 3.7 * in_model(first, MAIN_Hz), rtol=1e-9)
+    assert {entry.kind for entry in cache.entries()} == {"point-model"}
+    for changed in ({"read": 2.0 * read}, {"main_Hz": HIGHEST_Hz}, {"highest_Hz": 2.0 * HIGHEST_Hz}):
+        given = {"system": system, "force": force, "read": read, "main_Hz": MAIN_Hz, "highest_Hz": HIGHEST_Hz}
+        with pytest.raises(pytest.fail.Exception, match="solved again"):
+            point_model(**given | changed)

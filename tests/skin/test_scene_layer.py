@@ -66,7 +66,7 @@ def test_parts_fit_together():
     assert stepper.state_size <= whole.state_room
     assert whole.surface_operator.shape == (whole.mesh.surface_nodes, whole.system.ndof)
     assert whole.probe(np.array([0.001, 0.0, 0.002])).operator.shape == (1, whole.system.ndof)
-    fixed = whole.resized(1.0, side="fixed")
+    fixed = whole.altered(side="fixed")
     assert fixed.system.ndof < fixed.dofs
     assert whole.resized(0.5).mesh.surface_nodes > whole.mesh.surface_nodes
 

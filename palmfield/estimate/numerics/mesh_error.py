@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from palmfield.estimate.cost import RATIO
+from palmfield.estimate.cost import LAYERS, RATIO, WIDE
 from palmfield.estimate.numerics.point_response import Response, changes
 from palmfield.skin.approximation.estimate import ORDER
 from palmfield.skin.approximation.richardson import error_of_coarser, error_of_finer
@@ -29,17 +30,37 @@ MOST_CHANGES = 6
 """Largest number of refinements or coarsenings by RATIO until the other mesh differs."""
 
 
-def meshes_to_compare(layer: SceneLayer, finer: bool) -> tuple[SceneLayer, float, list[SceneLayer]]:
-    """Return a finer or coarser mesh of a layer, the ratio of edges (above 1), and meshes between the two.
+class Meshes(NamedTuple):
+    """Meshes of a layer to compare with its own.
 
-    Raises SceneError as SceneLayer does.
+    other: finer or coarser; ratio: of the edges of both, above 1; between: meshes between the two.
+    deeper: a coarser mesh that has all rows in depth, with another row; None where `other` has fewer or more rows.
     """
-    few = finer and layer.system.ndof < FEW
-    other, ratio = _other_mesh(layer, 1 / RATIO if finer else RATIO, FEW_CHANGES if few else 1)
-    return other, ratio, [layer.resized(RATIO ** (-FEW_CHANGES // 2))] if few else []
+
+    other: SceneLayer
+    ratio: float
+    between: list[SceneLayer]
+    deeper: SceneLayer | None
 
 
-def _other_mesh(layer: SceneLayer, factor: float, changes: int) -> tuple[SceneLayer, float]:
+def meshes_to_compare(layer: SceneLayer, finer: bool) -> Meshes:
+    """Return the meshes for the error of a layer by a finer mesh, or by a coarser one. Raises SceneError as SceneLayer.
+
+    A coarser mesh has a row less; where too few would be left it has the same rows, and its error with these rows is
+    estimated from another coarse mesh with one more.
+    """
+    rows = len(layer.sizes.depth_fractions) - 1
+    if finer:
+        few = layer.system.ndof < FEW
+        other, ratio = _other_mesh(layer, 1 / RATIO, FEW_CHANGES if few else 1)
+        return Meshes(other, ratio, [layer.resized(RATIO ** (-FEW_CHANGES // 2))] if few else [], None)
+    if rows >= LAYERS:
+        return Meshes(*_other_mesh(layer, RATIO, 1), [], None)
+    other, ratio = _other_mesh(layer, WIDE, 1, rows)
+    return Meshes(other, ratio, [], layer.resized(other.resizing, rows + 1))
+
+
+def _other_mesh(layer: SceneLayer, factor: float, changes: int, rows: int | None = None) -> tuple[SceneLayer, float]:
     """Return a layer with elements resized by factor^changes or more, and the ratio of edges, above 1.
 
     Small discs have equal meshes for a range of sizes, so sizes change until the meshes differ. Raises SceneError
@@ -47,7 +68,7 @@ def _other_mesh(layer: SceneLayer, factor: float, changes: int) -> tuple[SceneLa
     """
     own, change = len(layer.system.mesh.surface_triangles6), factor**changes
     for _ in range(MOST_CHANGES):
-        other = layer.resized(change)
+        other = layer.resized(change, rows)
         more = len(other.system.mesh.surface_triangles6) / own
         if not 1.0 / ALIKE < more < ALIKE:
             break
@@ -60,6 +81,7 @@ def mesh_error(
     coarse: Response,
     fine: Response,
     between: Sequence[Response],
+    deeper: Response | None,
     moved: dict[Response, Float],
     ratio: float,
     *,
@@ -67,8 +89,10 @@ def mesh_error(
 ) -> float:
     """Return the relative error of one of two meshes, the largest of static, harmonic and over time.
 
-    between: responses of meshes between the two. moved: motion of each over time. ratio: of edges, above 1.
-    of_coarse: whether to return the error of the coarser instead of the finer mesh.
+    between: responses of meshes between the two. deeper: of the coarser mesh with another row in depth, whose error
+        with its own rows, those of the finer mesh, is added.
+    moved: the motion of each over time. ratio: of edges, above 1.
+    of_coarse: whether to return the error of the coarser mesh or of the finer one.
     """
     mesh, ringing = changes(coarse, fine, moved)
     order = FEW_ORDER if between else ORDER
@@ -77,6 +101,9 @@ def mesh_error(
     error = max(of_one(mesh, ratio, order), of_one(ringing, ratio, course_order))
     # If distant sound is too irregular for a reduced model, report at least the error of the model
     error = max(error, *(each.small.error for each in (coarse, fine) if each.small.error > TOLERANCE), 0.0)
+    if deeper is not None:
+        here, there = (len(each.layer.sizes.depth_fractions) - 1 for each in (coarse, deeper))
+        error += error_of_coarser(max(changes(coarse, deeper, moved)), there / here, ORDER)
     for response in between:
         more = len(fine.layer.system.mesh.surface_triangles6) / len(response.layer.system.mesh.surface_triangles6)
         left = error_of_finer(max(changes(response, fine, moved)), max(math.sqrt(more), LEAST_RATIO), order)

@@ -17,7 +17,7 @@ def other_sides(layer: SceneLayer, sound: LoudestSound, point: Float) -> list[Re
     """Return responses of the layer with other cut faces; empty for a disc, which has no cut face."""
     if layer.config.shape == "disc":
         return []
-    other = layer.resized(layer.resizing, side="free" if layer.config.side == "fixed" else "fixed")
+    other = layer.altered(side="free" if layer.config.side == "fixed" else "fixed")
     return [Response(other, sound.on(other), point)]
 
 
@@ -41,7 +41,7 @@ def edge_error(own: Response, cut: Sequence[Response]) -> float:
 
 def other_materials(own: Response, ends: Ends | None) -> list[Response]:
     """Return responses with all material ranges at the soft and at the stiff ends; empty without ranges."""
-    return [own.of(own.layer.resized(own.layer.resizing, sheets=sheets)) for sheets in ends or ()]
+    return [own.of(own.layer.altered(sheets=sheets)) for sheets in ends or ()]
 
 
 def material_band(own: Response, ends: Sequence[Response]) -> dict[str, float]:

@@ -1,11 +1,10 @@
 """Response of one point of a skin to one sound: static, at the main frequency, and over time."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 
 from palmfield.skin.approximation.estimate import largest_change
-from palmfield.skin.fem.influence import harmonic_influence, static_influence
 from palmfield.skin.reduction.point_model import PointModel, point_model
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.threads import cores, share
@@ -16,49 +15,50 @@ MOST_AT_ONCE = 2
 
 
 class Response:
-    """Displacement at one point of one mesh of a skin under one sound.
+    """Displacement at a point of one mesh of a skin under one sound, by a reduced model.
 
     pressure: ARP at the quadrature points at the factor 1 [Pa], shape (q,).
-    static, harmonic, scheme: displacement of the point [m]: static (0 for a body without support), harmonic, and
-        harmonic by the time scheme of the wedge model; `rest` computes the first, `swing` the others.
-    scheme_too: whether `scheme` is needed.
-    small: reduced model for any time course; `begin` builds it and computes `static`.
+    static: of the point at rest [m], 0 for a body without support; harmonic: at the main frequency, exact in time.
+    small: the model; `solve` makes it, and those of `others`, of other materials on the same mesh.
     """
 
     small: PointModel
 
-    def __init__(self, layer: SceneLayer, pressure: Float, point: Float, *, scheme_too: bool = False):
-        self.layer, self.point, self.scheme_too = layer, point, scheme_too
-        self.pressure = pressure
-        self.static, self.harmonic, self.scheme = 0.0, 0j, 0j
+    def __init__(self, layer: SceneLayer, pressure: Float, point: Float):
+        self.layer, self.point, self.pressure = layer, point, pressure
+        self.others: list[Response] = []
 
     def of(self, layer: SceneLayer) -> "Response":
-        """Return the response of another layer on the same mesh."""
-        return Response(layer, self.pressure, self.point)
+        """Return the response of a layer of other materials on the same mesh, solved together with this one."""
+        other = Response(layer, self.pressure, self.point)
+        self.others.append(other)
+        return other
 
-    def rest(self) -> None:
-        if not self.layer.system.supported:
-            return
-        self.static = float(static_influence(self.layer.system, self.layer.quadrature, self.point) @ self.pressure)
-
-    def begin(self) -> None:
-        layer = self.layer
+    def solve(self) -> None:
+        layer, others = self.layer, self.others
         force, read = layer.quadrature.operator @ self.pressure, layer.probe(self.point).operator.toarray()[0]
-        self.small = point_model(layer.system, force, read, layer.demand.max_frequency_Hz)
-        if layer.system.supported:
-            self.static = self.small.static()
+        frequencies = layer.demand.main_frequency_Hz, layer.demand.max_frequency_Hz
+        models = point_model(layer.system, force, read, *frequencies, [other.layer.system for other in others])
+        for response, model in zip((self, *others), models, strict=True):
+            response.small = model
 
-    def swing(self) -> None:
-        layer = self.layer
-        step_s = layer.sizes.step_s if self.scheme_too else None
-        frequency = layer.demand.main_frequency_Hz
-        exact, scheme = harmonic_influence(layer.system, layer.quadrature, self.point, frequency, step_s)
-        self.harmonic, self.scheme = complex(exact @ self.pressure), complex(scheme @ self.pressure)
+    @property
+    def static(self) -> float:
+        return self.small.static() if self.layer.system.supported else 0.0
+
+    @property
+    def harmonic(self) -> complex:
+        return self.small.harmonic(self.layer.demand.main_frequency_Hz)
+
+    @property
+    def discrete(self) -> complex:
+        """The harmonic displacement by the substeps of the whole layer [m]."""
+        return self.small.discrete(self.layer.demand.main_frequency_Hz, self.layer.sizes.step_s)
 
 
-def side_by_side(*solutions: Callable[[], None]) -> None:
-    """Run solutions in threads (factorisation releases the GIL)."""
-    share([(solution,) for solution in solutions], min(cores(), MOST_AT_ONCE))
+def solve_all(responses: Sequence[Response]) -> None:
+    """Solve some responses in threads (factorisation releases the GIL), the most expensive first."""
+    share([(response.solve,) for response in responses], min(cores(), MOST_AT_ONCE))
 
 
 def changes(one: Response, other: Response, moved: dict[Response, Float]) -> tuple[float, float]:

@@ -9,6 +9,7 @@ L^T L = K_p, make |x|^2 / 2 the energy, so exp(A h) never lengthens x. Steps use
 held or linear in between.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -219,6 +220,20 @@ class Projection:
     materials: list[Material]
     force: Float
     read: Any
+
+    def harmonic(self, f_Hz: float) -> Complex:
+        """Return the readings under the first force times e^{-i w t}, exact in time, shape (k,)."""
+        s = -2j * np.pi * f_Hz
+        return self.moved(s**2, s, [complex(material.relaxation.stiffening(s)) for material in self.materials])
+
+    def moved(self, inertia: complex, rate: complex, scales: Sequence[complex]) -> Complex:
+        """Return the readings that balance the first force, with these factors of mass, damping and parts, (k,)."""
+        mass, damping, elastic, *stiffness = self.matrices
+        matrix: Any = inertia * mass + rate * damping + elastic
+        for scale, part in zip(scales, stiffness, strict=True):
+            matrix = matrix + scale * part
+        with one_blas_thread:
+            return np.asarray(self.read @ np.linalg.solve(matrix, self.force[:, 0]), dtype=complex)
 
 
 def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Float]]:

@@ -227,16 +227,14 @@ class ReducedStepper(SkinStepper):
         displaced = states[:, : self.order] @ (self._moved.T @ reader.matrix)
         return np.stack([displaced, states[:, self.order : 2 * self.order] @ (self._moves.T @ reader.matrix)], axis=1)
 
+    def projected(self, pressure_Pa: Float, operator: sparse.csr_matrix) -> Projection:
+        """Return the model with one force, that of a pressure at its points (p,), and the readings of an operator."""
+        small = self.small
+        force = small.force @ (pressure_Pa @ self.shares)
+        return Projection(small.matrices, small.materials, force[:, None], operator @ self.vectors)
+
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
-        s = -2j * np.pi * f_Hz
-        mass, damping, elastic, *parts = self.small.matrices
-        matrix: Any = s**2 * mass + s * damping + elastic
-        for material, part in zip(self.small.materials, parts, strict=True):
-            matrix = matrix + material.relaxation.stiffening(s) * part
-        return np.asarray(
-            (operator @ self.vectors) @ np.linalg.solve(matrix, self.small.force @ (pressure_Pa @ self.shares)),
-            dtype=complex,
-        )
+        return self.projected(pressure_Pa, operator).harmonic(f_Hz)
 
     def describe(self) -> str:
         return f"{self.name}, {self.order} vectors"
