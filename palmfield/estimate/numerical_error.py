@@ -149,13 +149,13 @@ def _estimate(
     materials: Ends | None,
 ) -> dict[str, float]:
     frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
-    other, ratio, middles, more_rows = meshes_to_compare(layer, finer)
+    other, ratio, middles, other_rows = meshes_to_compare(layer, finer)
     low, high = (layer, other) if finer else (other, layer)
     coarse, fine = (Response(each, sound.on(each), point) for each in (low, high))
     own = coarse if finer else fine
     between = [Response(middle, sound.on(middle), point) for middle in middles]
-    deeper = None if more_rows is None else Response(more_rows, sound.on(more_rows), point)
-    rest = between if deeper is None else [*between, deeper]
+    of_rows = None if other_rows is None else Response(other_rows, sound.on(other_rows), point)
+    rest = between if of_rows is None else [*between, of_rows]
     cut = other_sides(low, sound, point)
     ends = other_materials(coarse, materials)
     predicted = small is not None and small.any_course and not (small.any_pose or left_small_model)
@@ -169,7 +169,7 @@ def _estimate(
         solve_all([fine, coarse, *rest, *cut])
     times, levels = level(step_s / MOMENTS_A_STEP)
     moved = {response: response.small.moved(levels, times) for response in (coarse, fine, *rest)}
-    mesh = mesh_error(coarse, fine, between, deeper, moved, ratio, of_coarse=finer)
+    mesh = mesh_error(coarse, fine, between, of_rows, moved, ratio, of_coarse=finer)
     step = 1.0 - float(np.sinc(frequency * step_s)) ** 2
     if small is None or not small.exact_in_time or left_small_model:
         step = abs(coarse.discrete - coarse.harmonic) / abs(coarse.harmonic)

@@ -3,7 +3,7 @@
 from palmfield import cache
 from palmfield.acoustics.directivities import form_of
 from palmfield.estimate.array_inputs import qualities
-from palmfield.estimate.cost import RATIO, WIDE, estimate_s
+from palmfield.estimate.cost import COARSER, FINER, estimate_s
 from palmfield.estimate.sending import offset_words, peak_offset, sending
 from palmfield.outputs.budget_text import of_full
 from palmfield.planning.facts import force_samples
@@ -118,7 +118,7 @@ def _layer(skin: SkinModel) -> list[Row]:
     share = layer.patch.report.get("share_thinned", 0.0)
     thinned = f", thinner than depth_m at {100 * share:.0f} % of its vertices (curved rims and webs)" if share else ""
     base = "on a foundation" if skin.spec.config.foundation else skin.spec.config.base
-    estimate = f"the same load on elements {RATIO} to {WIDE} x larger or smaller, static and harmonic"
+    estimate = f"the same load on elements {COARSER} x larger or {FINER} x smaller, static, harmonic and over time"
     whole = "the region in which waves matter at this accuracy"
     if skin.carrier.surface is None:
         whole = "the whole disc"

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palmfield.estimate.cost import LAYERS, RATIO, WIDE
+from palmfield.estimate.cost import COARSER, FINER
 from palmfield.estimate.numerics.point_response import Response, changes
 from palmfield.skin.approximation.estimate import ORDER
 from palmfield.skin.approximation.richardson import error_of_coarser, error_of_finer
@@ -20,44 +20,46 @@ LEAST_RATIO = 1.1
 """Least ratio of edges for Richardson's rule."""
 FEW, FEW_CHANGES, FEW_ORDER = 2000, 4, 1.0
 """Number of unknowns below which only a few triangles lie under the spot, so that the error decreases irregularly. Then
-the other mesh is finer by this power of RATIO, with this order, the least observed on discs of 13 and 15 mm. A third
+the other mesh is finer by this power of FINER, with this order, the least observed on discs of 13 and 15 mm. A third
 mesh between them shows an accidentally accurate first mesh: on discs of 25 and 30 mm the next two were less
 accurate."""
 COURSE_ORDER = 1.5
 """Order of the error over time: the motions of two meshes drift out of phase with time. It is lower than ORDER, since a
 small ratio of edges amplifies small differences: on discs of palm and gelatin 1.8 to 3.3 was observed."""
+COARSE_ORDER = 1.5
+"""Order for the error of the finer mesh from a coarser one, whose few elements converge more slowly: with order 2 the
+error of palms was underestimated by up to a fifth."""
+LEAST_ROWS = 2
+"""Least number of rows of elements: one row has an error of 20 %."""
 MOST_CHANGES = 6
-"""Largest number of refinements or coarsenings by RATIO until the other mesh differs."""
+"""Largest number of refinements or coarsenings until the other mesh differs."""
 
 
 class Meshes(NamedTuple):
     """Meshes of a layer to compare with its own.
 
     other: finer or coarser; ratio: of the edges of both, above 1; between: meshes between the two.
-    deeper: a coarser mesh that has all rows in depth, with another row; None where `other` has fewer or more rows.
+    other_rows: a coarser mesh with another number of rows in depth; None if `other` is finer.
     """
 
     other: SceneLayer
     ratio: float
     between: list[SceneLayer]
-    deeper: SceneLayer | None
+    other_rows: SceneLayer | None
 
 
 def meshes_to_compare(layer: SceneLayer, finer: bool) -> Meshes:
-    """Return the meshes for the error of a layer by a finer mesh, or by a coarser one. Raises SceneError as SceneLayer.
+    """Return the meshes for the error of a layer by a finer or a coarser mesh. Raises SceneError as SceneLayer does.
 
-    A coarser mesh has a row less; where too few would be left it has the same rows, and its error with these rows is
-    estimated from another coarse mesh with one more.
+    A coarser mesh has as many rows in depth; the error of these rows is estimated from it and another coarse mesh.
     """
-    rows = len(layer.sizes.depth_fractions) - 1
     if finer:
         few = layer.system.ndof < FEW
-        other, ratio = _other_mesh(layer, 1 / RATIO, FEW_CHANGES if few else 1)
-        return Meshes(other, ratio, [layer.resized(RATIO ** (-FEW_CHANGES // 2))] if few else [], None)
-    if rows >= LAYERS:
-        return Meshes(*_other_mesh(layer, RATIO, 1), [], None)
-    other, ratio = _other_mesh(layer, WIDE, 1, rows)
-    return Meshes(other, ratio, [], layer.resized(other.resizing, rows + 1))
+        other, ratio = _other_mesh(layer, 1 / FINER, FEW_CHANGES if few else 1)
+        return Meshes(other, ratio, [layer.resized(FINER ** (-FEW_CHANGES // 2))] if few else [], None)
+    rows = len(layer.sizes.depth_fractions) - 1
+    other, ratio = _other_mesh(layer, COARSER, 1, rows)
+    return Meshes(other, ratio, [], layer.resized(other.resizing, rows - 1 if rows > LEAST_ROWS else rows + 1))
 
 
 def _other_mesh(layer: SceneLayer, factor: float, changes: int, rows: int | None = None) -> tuple[SceneLayer, float]:
@@ -81,7 +83,7 @@ def mesh_error(
     coarse: Response,
     fine: Response,
     between: Sequence[Response],
-    deeper: Response | None,
+    other_rows: Response | None,
     moved: dict[Response, Float],
     ratio: float,
     *,
@@ -89,21 +91,22 @@ def mesh_error(
 ) -> float:
     """Return the relative error of one of two meshes, the largest of static, harmonic and over time.
 
-    between: responses of meshes between the two. deeper: of the coarser mesh with another row in depth, whose error
-        with its own rows, those of the finer mesh, is added.
+    between: responses of meshes between the two. other_rows: of the coarser mesh with another number
+        of rows; the error of the rows, which is the same in the finer mesh, is added.
     moved: the motion of each over time. ratio: of edges, above 1.
     of_coarse: whether to return the error of the coarser mesh or of the finer one.
     """
     mesh, ringing = changes(coarse, fine, moved)
-    order = FEW_ORDER if between else ORDER
+    order = FEW_ORDER if between else ORDER if of_coarse else COARSE_ORDER
     course_order = min(order, COURSE_ORDER)
     of_one = error_of_coarser if of_coarse else error_of_finer
     error = max(of_one(mesh, ratio, order), of_one(ringing, ratio, course_order))
     # If distant sound is too irregular for a reduced model, report at least the error of the model
     error = max(error, *(each.small.error for each in (coarse, fine) if each.small.error > TOLERANCE), 0.0)
-    if deeper is not None:
-        here, there = (len(each.layer.sizes.depth_fractions) - 1 for each in (coarse, deeper))
-        error += error_of_coarser(max(changes(coarse, deeper, moved)), there / here, ORDER)
+    if other_rows is not None:
+        rows, others = (len(each.layer.sizes.depth_fractions) - 1 for each in (coarse, other_rows))
+        of_rows = error_of_coarser if others > rows else error_of_finer
+        error += of_rows(max(changes(coarse, other_rows, moved)), max(others / rows, rows / others), ORDER)
     for response in between:
         more = len(fine.layer.system.mesh.surface_triangles6) / len(response.layer.system.mesh.surface_triangles6)
         left = error_of_finer(max(changes(response, fine, moved)), max(math.sqrt(more), LEAST_RATIO), order)
