@@ -6,17 +6,18 @@ arrays have a leading axis for worlds: several equal bodies, each with its own s
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy import sparse
 
 from palmfield.errors import SceneError
+from palmfield.skin.projection import Projection
 from palmfield.threads import Calls
 from palmfield.types import Complex, Float, Float32, Int
 
 if TYPE_CHECKING:
-    from palmfield.skin.reduction.reduced import Projection
+    from palmfield.skin.projection import Projection
 
 CLOCK = 1e-6
 """Tolerance of t1 - t0 against the substeps of the loads, as a share of a substep: MuJoCo's time has rounding."""
@@ -188,7 +189,7 @@ class SkinStepper(Protocol):
         times e^{-i w t}."""
         raise TypeError(f"solver '{self.name}' is not a reduced model")
 
-    def projected(self, pressure_Pa: Float, operator: sparse.csr_matrix) -> "Projection":
+    def projected(self, pressure_Pa: Float, operator: sparse.csr_matrix) -> Projection:
         """For a reduced model of a predicted load: return the body in its vectors, see ReducedStepper."""
         raise TypeError(f"solver '{self.name}' is not made for a predicted load")
 

@@ -9,7 +9,6 @@ L^T L = K_p, make |x|^2 / 2 the energy, so exp(A h) never lengthens x. Steps use
 held or linear in between.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ import scipy  # loads its parts at first use
 
 from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
-from palmfield.skin.materials.material import Material
+from palmfield.skin.projection import Projection
 from palmfield.types import Complex, Float
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ class Reduced:
     A state is one flat array of `state_size` floats; all zeros is rest.
     """
 
-    def __init__(self, small: "Projection", error: float) -> None:
+    def __init__(self, small: Projection, error: float) -> None:
         self.error = error
         self.rates, self.inputs, self.displaces, self.moves, self.internals = _energy_form(small)
         self.order = len(small.force)
@@ -206,34 +205,6 @@ class _Modes:
     vectors: Complex
     inverse: Complex
     inputs: Complex
-
-
-@dataclass(frozen=True)
-class Projection:
-    """A body in a basis V of r vectors.
-
-    matrices: V^T M V, V^T C V, V^T E V and V^T K_p V, symmetric, (r, r); materials: of the parts
-    force: V^T B, shape (r, j); read: Y V, shape (k, r)
-    """
-
-    matrices: list[Float]
-    materials: list[Material]
-    force: Float
-    read: Any
-
-    def harmonic(self, f_Hz: float) -> Complex:
-        """Return the readings under the first force times e^{-i w t}, exact in time, shape (k,)."""
-        s = -2j * np.pi * f_Hz
-        return self.moved(s**2, s, [complex(material.relaxation.stiffening(s)) for material in self.materials])
-
-    def moved(self, inertia: complex, rate: complex, scales: Sequence[complex]) -> Complex:
-        """Return the readings that balance the first force, with these factors of mass, damping and parts, (k,)."""
-        mass, damping, elastic, *stiffness = self.matrices
-        matrix: Any = inertia * mass + rate * damping + elastic
-        for scale, part in zip(scales, stiffness, strict=True):
-            matrix = matrix + scale * part
-        with one_blas_thread:
-            return np.asarray(self.read @ np.linalg.solve(matrix, self.force[:, 0]), dtype=complex)
 
 
 def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Float]]:

@@ -15,9 +15,10 @@ from scipy import sparse
 from palmfield import cache
 from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.projection import Projection
 from palmfield.skin.reduction.course import Course
 from palmfield.skin.reduction.load_shapes import LoadShapes
-from palmfield.skin.reduction.reduced import Projection, Reduced
+from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.stepper import (
     DeviceModel,
     Reader,

@@ -13,9 +13,10 @@ from scipy import sparse
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.linear_body import LinearBody
+from palmfield.skin.projection import Projection
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov
-from palmfield.skin.reduction.reduced import Projection, Reduced
+from palmfield.skin.reduction.reduced import Reduced
 from palmfield.types import Complex, Int
 
 SHIFT = 0.6
