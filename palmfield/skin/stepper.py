@@ -16,9 +16,6 @@ from palmfield.skin.projection import Projection
 from palmfield.threads import Calls
 from palmfield.types import Complex, Float, Float32, Int
 
-if TYPE_CHECKING:
-    from palmfield.skin.projection import Projection
-
 CLOCK = 1e-6
 """Tolerance of t1 - t0 against the substeps of the loads, as a share of a substep: MuJoCo's time has rounding."""
 
