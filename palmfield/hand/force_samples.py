@@ -22,6 +22,8 @@ NEIGHBOURS, KERNEL_m, KERNEL_TURN, ROUGH, SIDE_m = 32, 6e-3, 1.0, 0.01, 8e-3
 """Interpolation of the ARP between samples: number of samples per face, length of the Gaussian kernel along the surface
 and between unit normals, share of the variance that differs from face to face, and distance equivalent to a difference
 of 1 between normals in the search for samples."""
+AT_ONCE = 256
+"""Number of faces that are interpolated together: their arrays of 6 MB fit the cache of a processor."""
 MOST_STORED = 32
 _stored: dict[str, "SampleMesh"] = {}
 
@@ -115,16 +117,19 @@ def _interpolation(samples: Float, outward: Float, places: Float, normals: Float
     at, around = (
         np.concatenate([p / KERNEL_m, n / KERNEL_TURN], axis=1) for p, n in ((places, normals), (samples, outward))
     )
-    gaps = around[near] - at[:, None]
-    products = gaps @ gaps.swapaxes(1, 2)
-    squares = np.einsum("nkk->nk", products)
-    system = np.ones((len(places), count + 1, count + 1))
-    between = products - 0.5 * (squares[:, :, None] + squares[:, None])
-    system[:, :-1, :-1] = np.exp(between) + ROUGH * np.eye(count)
-    system[:, -1, -1] = 0.0
-    right = np.ones((len(places), count + 1, 1))
-    right[:, :-1, 0] = np.exp(-0.5 * squares)
-    shares = np.linalg.solve(system, right)[:, :-1, 0]
+    shares = np.empty(near.shape)
+    for start in range(0, len(places), AT_ONCE):
+        block = slice(start, start + AT_ONCE)
+        gaps = around[near[block]] - at[block, None]
+        products = gaps @ gaps.swapaxes(1, 2)
+        squares = np.einsum("nkk->nk", products)
+        system = np.ones((len(gaps), count + 1, count + 1))
+        between = products - 0.5 * (squares[:, :, None] + squares[:, None])
+        system[:, :-1, :-1] = np.exp(between) + ROUGH * np.eye(count)
+        system[:, -1, -1] = 0.0
+        right = np.ones((len(gaps), count + 1, 1))
+        right[:, :-1, 0] = np.exp(-0.5 * squares)
+        shares[block] = np.linalg.solve(system, right)[:, :-1, 0]
     starts = np.arange(0, shares.size + 1, count)
     return sparse.csr_array((shares.ravel(), near.ravel(), starts), shape=(len(places), len(samples)))
 
@@ -132,9 +137,10 @@ def _interpolation(samples: Float, outward: Float, places: Float, normals: Float
 def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int:
     """Return the cell of each face, shape (n,). Centres form a honeycomb; both sides of a thin web have own cells."""
     places = np.concatenate([points, spacing_m * normals], axis=1)
+    columns = np.ascontiguousarray(places.T)
     seeds, gap = [int(np.argmax(areas))], np.full(len(points), np.inf)
     for _ in range(_cell_count(areas, spacing_m) - 1):
-        np.minimum(gap, np.square(places - places[seeds[-1]]).sum(axis=1), out=gap)
+        np.minimum(gap, np.square(columns - columns[:, seeds[-1:]]).sum(axis=0), out=gap)
         seeds.append(int(np.argmax(gap)))
     centres: Float = places[seeds]
     for _ in range(ROUNDS):
