@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from palmfield.errors import OutputError, reason_of, unwritable
 from palmfield.interrupts import interrupts_delayed
@@ -70,7 +71,7 @@ class _Blocks:
         self.static = check(static, self._sizes)
 
     def taken(self, block: Arrays) -> Checked:
-        """Return a copy of a block after a check against earlier blocks; see `Store.append` for errors."""
+        """Return a block that does not change, after a check against earlier ones; see `Store.append` for errors."""
         sizes, last, known_names = dict(self._sizes), dict(self._last), dict(self._names)
         checked = check(block, sizes)
         for dim in RECORDS:
@@ -94,7 +95,12 @@ class _Blocks:
                         f"contained {', '.join(sorted(expected))}: give the same variables in every block"
                     )
         self._sizes, self._last, self._names = sizes, last, known_names
-        return {path: {n: np.array(a) for n, a in variables.items()} for path, variables in checked.items()}
+        return {path: {n: _constant(a) for n, a in variables.items()} for path, variables in checked.items()}
+
+
+def _constant(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array, or a copy if it can be written."""
+    return array.copy() if array.flags.writeable else array
 
 
 def refuse_occupied(out: Path, overwrite: bool) -> None:
@@ -151,7 +157,7 @@ class Store:
             raise unwritable(self.out, error) from error
 
     def append(self, block: Arrays) -> None:
-        """Append a block, which is copied; it is flushed to disk after 8 MB or 2 s.
+        """Append a block; arrays that can be written are copied. It is flushed to disk after 8 MB or 2 s.
 
         block: plain arrays by group and variable; those along `time`, `step_time` or `frame_time` need these times
             in the root ("/"). Other variables (such as loudest_arp) replace earlier ones
@@ -222,7 +228,10 @@ class MemoryStore:
     def finish(self, attributes: Mapping[str, Any], complete: bool) -> xr.DataTree:
         """Return the result as `open_result` does, completely in memory."""
         own = dict(self._attributes.get("/", {})) | dict(attributes) | {"complete": int(complete)}
-        return tree(joined([self._blocks.static, *self._held]), self._attributes | {"/": own})
+        whole = joined([self._blocks.static, *self._held])
+        for variables in whole.values():
+            variables |= {name: np.require(array, requirements="W") for name, array in variables.items()}
+        return tree(whole, self._attributes | {"/": own})
 
 
 def recover(out: Path) -> Path:

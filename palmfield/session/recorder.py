@@ -220,7 +220,11 @@ class Recorder:
                         pressure[pressed[0], column] = pressed[1]
                 face_arp = np.ascontiguousarray((skin.sample_faces @ pressure).T, np.float32)
                 blocks.append({group("surface", skin.spec.name): {"face_arp": face_arp}})
-        self.sink.append(joined(blocks))
+        block = joined(blocks)
+        for variables in block.values():
+            for array in variables.values():
+                array.flags.writeable = False  # so that the store need not copy it
+        self.sink.append(block)
 
     def _in_one_pose(self, steps: Sequence[Recorded]) -> Block:
         """Return the data along `time` of steps in one pose with the same kind of emission."""

@@ -84,6 +84,7 @@ def test_a_recorded_run_has_the_numbers_of_single_steps(
     assert max(blocks) == 1
     assert float(np.abs(expected["skin/skin"]["displacement"]).max()) > 0.0
     agree(result.dataset, expected)
+    assert all(one.values.flags.writeable for node in result.dataset.subtree for one in node.data_vars.values())
     why = " ".join(row.why for row in plan(scene).modelled)
     assert ("one at a time: control_rate_Hz holds foci" if kind == "held" else "for many steps together") in why
 
