@@ -142,8 +142,8 @@ def _fail(world: World | None, module: str, error: Exception | KeyboardInterrupt
     """Store the first error for `raise_errors`, show it through MuJoCo, and set results to NaN."""
     silent = _compiling.active if world is None else world.quiet or world.error is not None
     if not silent:
-        known = isinstance(error, PalmfieldError | KeyboardInterrupt)
-        text = str(error) if known else "".join(traceback.format_exception(error))
+        expected = isinstance(error, PalmfieldError | KeyboardInterrupt)
+        text = str(error) if expected else "".join(traceback.format_exception(error))
         library().mju_warning(b"%s", f"{module}: {text}".encode())
     if world is not None:
         world.error = world.error or error

@@ -57,14 +57,14 @@ class SeenSkin(NamedTuple):
 
 
 class _Moment(NamedTuple):
-    """The content of an exposure. posed: the pose; times: [s], (k,); told: commanded drives at these, shape (k, N)
+    """The content of an exposure. posed: the pose; times: [s], (k,); drives: commanded drives at these, shape (k, N)
 
     units: different drives among them, shape (N,) each, and the mean squares of their levels
     """
 
     posed: PosedScene
     times: Float
-    told: Complex
+    drives: Complex
     units: list[tuple[Complex, float]]
 
 
@@ -84,9 +84,9 @@ class SceneView:
 
     def transducers(self, array: int) -> SeenTransducers:
         """Return the command of one array, by its number."""
-        posed, _, told, _ = self._now()
+        posed, _, drives, _ = self._now()
         part = posed.arrays.slices[array]
-        mine, own = told[:, part], posed.arrays.array
+        mine, own = drives[:, part], posed.arrays.array
         sounding = mine[int(np.argmax(mine.any(axis=1)))]
         places, axes = posed.array_frame.surface(own.positions[part], own.normals[part])
         levels = np.sqrt(np.mean(np.abs(mine) ** 2, axis=0))
@@ -103,9 +103,9 @@ class SceneView:
         """Return ARP on one skin; None in silence, and on a scattering body without a solution from the run."""
         posed, _, _, units = self._now()
         key = b"".join(unit.tobytes() + np.float64(weight).tobytes() for unit, weight in units)
-        known = self._seen.get(number)
-        if known is not None and known[:2] == (posed.serial, key):
-            return known[2]._replace(top=self._top)
+        cached = self._seen.get(number)
+        if cached is not None and cached[:2] == (posed.serial, key):
+            return cached[2]._replace(top=self._top)
         part = self.model.skins[number]
         carry, faces = self._kept.of(("mesh", number), (), split_long_edges, part.nodes[0], part.faces, EDGE_m)
         nodes, directions = posed.skins[number].nodes
@@ -163,8 +163,8 @@ class SceneView:
         self._posed = posed_scene(self.model, runtime.layout, self._positions, rotations, self._posed, reference)
         self._emission.held = list(runtime.work.emission.held)
         times = key[0] + EXPOSURE_s / MOMENTS * np.arange(MOMENTS, dtype=np.float64)
-        told = self._emission.commanded(self._posed, times)
-        moment = _Moment(self._posed, times, told, _units(told))
+        drives = self._emission.commanded(self._posed, times)
+        moment = _Moment(self._posed, times, drives, _units(drives))
         self._last = key, moment
         return moment
 
@@ -184,17 +184,17 @@ def view_of(world: World) -> SceneView | None:
     return view
 
 
-def _units(told: Complex) -> list[tuple[Complex, float]]:
+def _units(drives: Complex) -> list[tuple[Complex, float]]:
     """Return the different drives among several, (k, N), with the mean squares of their levels; empty in silence."""
     units: list[tuple[Complex, float]] = []
-    for drive in told[told.any(axis=1)]:
+    for drive in drives[drives.any(axis=1)]:
         for number, (unit, weight) in enumerate(units):
             level = _level(drive, unit)
             if level is not None:
-                units[number] = unit, weight + level / len(told)
+                units[number] = unit, weight + level / len(drives)
                 break
         else:
-            units.append((drive, 1.0 / len(told)))
+            units.append((drive, 1.0 / len(drives)))
     return units
 
 

@@ -65,9 +65,9 @@ _known_layers: WeakValueDictionary[tuple[object, ...], SceneLayer] = WeakValueDi
 def model_of(spec: SceneSpec) -> HapticModel:
     """Return the model of a spec; equal specs share one model and its factors. Errors as `build`."""
     with _lock:
-        for known in _models:
-            if known.spec == spec:
-                return known
+        for other in _models:
+            if other.spec == spec:
+                return other
         alike = next((m for m in _models if _but_for_texts(m.spec) == _but_for_texts(spec)), None)
         model = build(spec, alike)
         _models[:] = [*_models, model][-MOST_MODELS:]
@@ -80,7 +80,7 @@ def keep_model(spec: SceneSpec, model: HapticModel) -> None:
     model: the model of the spec, or of a world with other layers
     """
     with _lock:
-        _models[:] = [known for known in _models if known.spec == spec]
+        _models[:] = [other for other in _models if other.spec == spec]
         _kept[:] = [(skin.layer, whole) for skin, whole in zip(model.skins, model.whole, strict=True)]
 
 
@@ -105,8 +105,8 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
         bodies = tuple(_body(next(skin.config for skin in spec.skins if skin.config.body == name)) for name in names)
     carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
     stimuli = stimuli_of(spec, arrays, board, carriers)
-    known = None if alike is None else [skin.layer for skin in alike.skins]
-    skins = _skins(spec, stimuli, arrays, board, bodies, names, known)
+    layers = None if alike is None else [skin.layer for skin in alike.skins]
+    skins = _skins(spec, stimuli, arrays, board, bodies, names, layers)
     check_overlaps(skins)
     whole = tuple(whole_of(skin.layer) for skin in skins)
     model = HapticModel(spec, arrays, board, stimuli, bodies, skins, (), whole)
@@ -116,9 +116,9 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
 def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
     """Return the board of a scene. SceneError for arrays that it does not drive, DeviceError for unknown keys."""
     check_arrays(BOARDS[spec.driver.board], spec.arrays)
-    known = any(array.calibration is not None for array in spec.arrays)
+    calibrated = any(array.calibration is not None for array in spec.arrays)
     with naming_keys("plugin 'palmfield.driver'", spec.driver):
-        board = board_of(spec.driver, len(arrays), calibrated=known, address=arrays.array.address)
+        board = board_of(spec.driver, len(arrays), calibrated=calibrated, address=arrays.array.address)
     if board.modulates:
         for stimulus in spec.stimuli:
             check_envelope(stimulus, board)
@@ -129,8 +129,8 @@ def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
 def whole_of(layer: SceneLayer) -> "Lazy[WedgeStepper]":
     """Return the stepper of a whole layer, stored or new; its matrix is factorised at first use."""
     with _lock:
-        known = next((whole for other, whole in _kept if other is layer), None)
-        return known or Lazy(partial(whole_stepper, layer))
+        stored = next((whole for other, whole in _kept if other is layer), None)
+        return stored or Lazy(partial(whole_stepper, layer))
 
 
 def whole_stepper(layer: SceneLayer) -> "WedgeStepper":
@@ -208,11 +208,11 @@ def stimuli_of(
     arrays: PhasedArray,
     board: Board,
     carriers: Sequence[BodyModel],
-    known: Responses | None = None,
+    responses: Responses | None = None,
 ) -> tuple[StimulusModel, ...]:
     """Return the stimuli. Ring-up is modelled for all transducers of a scene or for none: they share one state.
 
-    carriers: the body of each skin; known: responses of other worlds of the scene; new ones are added
+    carriers: the body of each skin; responses: of other worlds of the scene; new ones are added
     """
     strictest = min(skin.config.accuracy for skin in spec.skins)
     scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
@@ -220,7 +220,7 @@ def stimuli_of(
     for stimulus in spec.stimuli:
         check_board(stimulus, board)
         carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
-        own = {} if known is None else known
+        own = {} if responses is None else responses
         stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, own, spread=not scattering))
     rings = any(stimulus.response.on for stimulus in stimuli)
     stimuli = [replace(stimulus, response=replace(stimulus.response, on=rings)) for stimulus in stimuli]
@@ -236,13 +236,13 @@ def _stimulus(
     board: Board,
     carrier: BodyModel | None,
     accuracy: float,
-    known: Responses,
+    responses: Responses,
     *,
     spread: bool,
 ) -> StimulusModel:
     """Make a stimulus with its path and the response of its transducers.
 
-    carrier: the body that its path runs on; accuracy: the strictest of all skins; known: see `stimuli_of`; spread:
+    carrier: the body that its path runs on; accuracy: the strictest of all skins; responses: see `stimuli_of`; spread:
         whether flight times may differ
     """
     config: StimulusConfig = spec.config
@@ -269,10 +269,10 @@ def _stimulus(
         silent = not np.any(drive.unit_drive(foci).amplitudes)
         # The key is equal at any level that the board plays unchanged. Silence has its own key.
         key = (replace(spec, config=at_any_level(spec.config)) if board.exact else spec), silent
-        response = known.get(key)
+        response = responses.get(key)
         if response is None:
             response = transducer_response(config, drive, focal_points, array_instances(scene), accuracy, spread=spread)
-            known[key] = response
+            responses[key] = response
     return StimulusModel(spec, config, transducers.astype(np.int32), path, offsets, response, foci, silent)
 
 

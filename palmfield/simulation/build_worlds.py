@@ -106,19 +106,19 @@ def _skins(
     modal: see Shared
     """
     skins = []
-    for known, layer in zip(first.skins, layers, strict=True):
-        if modal and known.spec.config.solver == "auto":
-            choice = known.choice._replace(name="modal", why="there are many different loads")
-            settles = not known.choice.solver.any_pose
+    for skin, layer in zip(first.skins, layers, strict=True):
+        if modal and skin.spec.config.solver == "auto":
+            choice = skin.choice._replace(name="modal", why="there are many different loads")
+            settles = not skin.choice.solver.any_pose
         else:
-            choices = [choose_stepper(spec, known.spec, layer, made) for spec, made in sounding.items()]
-            choice = common_choice(first.spec, known.spec, layer, choices, loads) if choices else known.choice
+            choices = [choose_stepper(spec, skin.spec, layer, made) for spec, made in sounding.items()]
+            choice = common_choice(first.spec, skin.spec, layer, choices, loads) if choices else skin.choice
             # As for each world simulated alone with a predicted load: in a still pose its field is stored
             settles = not (choice.solver.factorises or any(own.solver.any_pose for own in choices))
-        if layer is known.layer and choice == known.choice:
-            skins.append(known)
+        if layer is skin.layer and choice == skin.choice:
+            skins.append(skin)
         else:
-            skins.append(SkinModel(known.spec, known.body, known.carrier, layer, choice, settles))
+            skins.append(SkinModel(skin.spec, skin.body, skin.carrier, layer, choice, settles))
     return tuple(skins)
 
 

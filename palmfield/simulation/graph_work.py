@@ -313,14 +313,14 @@ class GraphWork:
     def replay(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> Callable[[], object]:
         """Return one function for all these calls; on a GPU it is a captured graph, made at first use."""
         key = moved, sounds, skins
-        known = self._replays.get(key)
-        if known is None:
+        cached = self._replays.get(key)
+        if cached is None:
             calls = self.calls(*key)
             # Refitting a mesh is not recorded on the CPU, and takes memory from the pool on a GPU
             refits = moved and len(self._kept) > 0
             captures = not refits or (self.device != "cpu" and wp.get_device(self.device).is_mempool_supported)
-            known = self._replays[key] = replayed(calls, self.device) if captures else partial(_do, calls)
-        return known
+            cached = self._replays[key] = replayed(calls, self.device) if captures else partial(_do, calls)
+        return cached
 
     def launch(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> None:
         """Start to compute a step; arguments as in `calls`."""

@@ -499,9 +499,9 @@ class HostBackend(Backend):
         """Return the steppers of a skin, each with those of `worlds` that it steps."""
         whole = self.state.skins[skin][worlds, 0] == WHOLE
         key = skin, worlds.tobytes(), whole.tobytes()
-        known = self._shared_out.get(key)
-        if known is not None:
-            return known
+        cached = self._shared_out.get(key)
+        if cached is not None:
+            return cached
         steppers: dict[int, tuple[SkinStepper, list[int]]] = {}
         for world, left in zip(worlds.tolist(), whole.tolist(), strict=True):
             model = self.models[world]

@@ -23,19 +23,19 @@ class Kept:
         self._last: dict[Hashable, tuple[object, Any]] = {}
         self._rows: dict[Hashable, tuple[Serials, Float]] = {}
 
-    def of(self, name: Hashable, key: object, make: Callable[..., T], *given: Any, move: Any = None) -> T:
-        """Return the result under a name; it is computed from `given` if the key has changed.
+    def of(self, name: Hashable, key: object, make: Callable[..., T], *parts: Any, move: Any = None) -> T:
+        """Return the result under a name; it is computed from `parts` if the key has changed.
 
-        move: function of the last result and of `given`, for an object that is made once and then moved in place
+        move: function of the last result and of `parts`, for an object that is made once and then moved in place
         """
-        known = self._last.get(name)
-        if known is not None and known[0] == key:
-            return known[1]  # type: ignore[no-any-return]
-        if known is None or move is None:
-            value = make(*given)
+        stored = self._last.get(name)
+        if stored is not None and stored[0] == key:
+            return stored[1]  # type: ignore[no-any-return]
+        if stored is None or move is None:
+            value = make(*parts)
         else:
-            value = known[1]
-            move(value, *given)
+            value = stored[1]
+            move(value, *parts)
         self._last[name] = key, value
         return value
 
@@ -44,22 +44,22 @@ class Kept:
         return self._last.get(name, (None, None))[1]
 
     def rows(
-        self, name: Hashable, shape: tuple[int, ...], worlds: Rows, keys: Serials, make: Callable[..., Any], *given: Any
+        self, name: Hashable, shape: tuple[int, ...], worlds: Rows, keys: Serials, make: Callable[..., Any], *parts: Any
     ) -> Float:
         """Return the results of some worlds, shape (g, *shape), under pairs of serial numbers, shape (g, 2).
 
-        make: computes the result of a world from its number and `given`, once for worlds with equal serial numbers
+        make: computes the result of a world from its number and `parts`, once for worlds with equal serial numbers
         """
-        known = self._rows.get(name)
-        if known is None:
-            known = self._rows[name] = np.zeros((self._worlds, 2), np.int64), np.zeros((self._worlds, *shape))
-        last, values = known
+        stored = self._rows.get(name)
+        if stored is None:
+            stored = self._rows[name] = np.zeros((self._worlds, 2), np.int64), np.zeros((self._worlds, *shape))
+        last, values = stored
         stale = np.logical_or.reduce(last[worlds] != keys, axis=1)
         made: dict[bytes, int] = {}
         for i in stale.nonzero()[0].tolist():
             world = int(worlds[i])
             same = made.setdefault(keys[i].tobytes(), world)
-            values[world] = make(world, *given) if same == world else values[same]
+            values[world] = make(world, *parts) if same == world else values[same]
             last[world] = keys[i]
         return values[worlds]
 

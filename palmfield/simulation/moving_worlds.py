@@ -212,15 +212,15 @@ class MovingWorlds(Backend):
     def _begin_class(self, steppers: Mapping[int, DeviceModel]) -> None:
         """Set the reference load against which the load outside the class is compared in each world."""
         for number, model in steppers.items():
-            known: dict[int, float] = {}
+            loudest: dict[int, float] = {}
             for world, kind in enumerate(self._kinds.tolist()):
                 work = self.works[world]
                 outside = work.outside[number]
                 if outside.loudest is None:
-                    if kind not in known:
+                    if kind not in loudest:
                         own = self.models[world], number, model.stepper, work.reference, work.radiation
-                        known[kind] = loudest_load(*own)
-                    outside.loudest = known[kind]
+                        loudest[kind] = loudest_load(*own)
+                    outside.loudest = loudest[kind]
                 self._loudest[number, world] = outside.loudest
                 self._sums[number, :, world] = outside.sums
 

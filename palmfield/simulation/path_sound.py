@@ -74,8 +74,8 @@ class PathSound:
 
 def serves(model: HapticModel) -> bool:
     """Whether one stimulus moves along a predicted path, past bodies that are expected to stay at rest."""
-    known = not all(skin.choice.solver.any_pose for skin in model.skins)
-    if not known or one_shape(model.stimuli[model.sounding]):
+    reduced = not all(skin.choice.solver.any_pose for skin in model.skins)
+    if not reduced or one_shape(model.stimuli[model.sounding]):
         return False
     free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
     return free and model.arrays.field.device == "cpu"

@@ -144,8 +144,8 @@ class Radiation:
             numbers = chosen.numbers
         elif role == "samples":
             # The same as `samples`, inlined to save a call
-            key, given = (posed.arrays.serial, part.body.serial), (self._sound[skin].samples, part.body, posed.arrays)
-            points, normals, _, numbers = self.kept.of(("samples", skin), key, *given)
+            key, inputs = (posed.arrays.serial, part.body.serial), (self._sound[skin].samples, part.body, posed.arrays)
+            points, normals, _, numbers = self.kept.of(("samples", skin), key, *inputs)
         else:
             points, normals = part.nodes if role == "nodes" else part.quadrature
         name = "field", skin, role, len(points)

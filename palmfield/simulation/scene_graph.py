@@ -200,18 +200,18 @@ class SceneGraph(HostBackend):
                 model = self._model(number, stepper_of(self.model, self.state, number)[0])
                 if model is not None:
                     models[number] = model
-        known = self._graphs.get(drives is not None)
-        same = known is not None and all(known.of.skins.get(number) is one for number, one in models.items())
-        sizes = sizes if known is None else sizes.joined(known.sizes)
-        if known is None or not same or known.sizes != sizes:
-            skins = models if known is None else {**known.of.skins, **models}
+        graph = self._graphs.get(drives is not None)
+        same = graph is not None and all(graph.of.skins.get(number) is one for number, one in models.items())
+        sizes = sizes if graph is None else sizes.joined(graph.sizes)
+        if graph is None or not same or graph.sizes != sizes:
+            skins = models if graph is None else {**graph.of.skins, **models}
             self._graphs.pop(drives is not None, None)  # frees its memory for the next graph
-            self._now = known = None
+            self._now = graph = None
             of = GraphOf(1, self._probes, skins, drives, 1)
-            known = self._graphs[drives is not None] = GraphWork(
+            graph = self._graphs[drives is not None] = GraphWork(
                 self.model, self._reference, self._transducers, of, sizes
             )
-        return known, models
+        return graph, models
 
     def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
         """Return the device model of a skin's stepper, stored; None if the skin is stepped on the CPU."""

@@ -53,10 +53,10 @@ class SensorPlace:
 
     def reader(self, stepper: SkinStepper) -> Reader:
         """Operator from the state of one stepper to displacement and velocity along the outward normal there."""
-        known = self._readers.get(stepper)
-        if known is None:
-            known = self._readers[stepper] = stepper.reader(self.probe.operator)
-        return known
+        reader = self._readers.get(stepper)
+        if reader is None:
+            reader = self._readers[stepper] = stepper.reader(self.probe.operator)
+        return reader
 
 
 def check_site(skin: SkinModel, site: Float, element: str) -> None:

@@ -157,9 +157,9 @@ class SmoothSound:
 
     def unit(self, world: int) -> Complex:
         """The unit drive of a world that has joined, shape (N,)."""
-        known = self._of[world]
-        assert known is not None
-        return known.amplitudes
+        own = self._of[world]
+        assert own is not None
+        return own.amplitudes
 
     def present_factors(self) -> Float:
         """Return ARP at the start of the step relative to that of the unit drives, in the joined worlds, shape (g,)."""

@@ -117,11 +117,11 @@ def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinS
     kind = part[0, 0]
     stepper: SkinStepper = (model.whole if kind == WHOLE else model.begin)[skin].value
     if kind == 0.0:
-        known = not np.logical_or.reduce(part[0])
+        valid = not np.logical_or.reduce(part[0])
     else:
         mark = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
-        known = kind in (BEGUN, WHOLE) and part[0, 1] == mark
-    if not known:
+        valid = kind in (BEGUN, WHOLE) and part[0, 1] == mark
+    if not valid:
         raise SceneError(_foreign(model.skins[skin].spec.element))
     return stepper, part[:, HEADER : HEADER + stepper.state_size]
 

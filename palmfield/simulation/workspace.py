@@ -58,22 +58,22 @@ class Workspace:
     def look_ahead(self, posed: PosedScene) -> None:
         """Switch look-ahead of the emission on if it saves time, which is not so on a path with predicted sound."""
         path = self.path_sound
-        known = path.serves and path.off < MOST_OFF_PATH and path.holds(posed)
-        self.emission.ahead = self._may_look_ahead and not known
+        on_path = path.serves and path.off < MOST_OFF_PATH and path.holds(posed)
+        self.emission.ahead = self._may_look_ahead and not on_path
 
     def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
         """Return the operator from states of this stepper to watched values; the stepper may change in any step."""
         operator = self.observe[skin]
         if operator is None:
             return None
-        known = self._readers.get((skin, stepper))
-        if known is None or known[0] is not operator:
+        cached = self._readers.get((skin, stepper))
+        if cached is None or cached[0] is not operator:
             reader = stepper.reader(operator)
-            known = self._readers[skin, stepper] = operator, reader, stepper.coordinates(reader)
-        return known[1] if known[2] is None or not self.in_coordinates else known[2][0]
+            cached = self._readers[skin, stepper] = operator, reader, stepper.coordinates(reader)
+        return cached[1] if cached[2] is None or not self.in_coordinates else cached[2][0]
 
     def coordinates(self, skin: int, stepper: SkinStepper) -> Float | None:
         """Return the matrix (r, m) that gives the watched values from the r coordinates that steps of this stepper
         return; None if steps return the values."""
-        known = self._readers[skin, stepper][2] if self.in_coordinates else None
-        return None if known is None else known[1]
+        cached = self._readers[skin, stepper][2] if self.in_coordinates else None
+        return None if cached is None else cached[1]

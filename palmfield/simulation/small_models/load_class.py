@@ -89,8 +89,8 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "
     weak = min(WEAK * accuracy, MOST_WEAK) * (WEAK_TOGETHER if laws(layer) > 1 else 1.0)
     with _lock:
         mark = cache.digest(depends_on, tolerance, blocks, points)
-        known = _bodies.get(layer)
-        if known is None or known[0] != mark:
+        cached = _bodies.get(layer)
+        if cached is None or cached[0] != mark:
             made = modal_body(
                 layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed),
                 depends_on, tolerance, blocks, weak, layer.sizes.step_s, points,
@@ -102,8 +102,8 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "
                     "patch_radius_m larger, or solver wedges",
                     part.spec.element,
                 )
-            known = _bodies[layer] = mark, made
-    return ModalStepper(known[1], layer.system, layer.sizes.step_s, layer.demand.corner_Hz)
+            cached = _bodies[layer] = mark, made
+    return ModalStepper(cached[1], layer.system, layer.sizes.step_s, layer.demand.corner_Hz)
 
 
 def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
