@@ -247,7 +247,7 @@ class SceneRuntime:
             self.steps.over(*gathered, not self.skins_rest)
 
     @cached_property
-    def felt(self) -> str:
+    def feedback(self) -> str:
         """Return why steps are not gathered: the sound's force moves a body, or sensors may be read; else empty."""
         model = self.view.model
         if serves(self.model):
@@ -266,7 +266,7 @@ class SceneRuntime:
             getattr(mujoco, f"get_mjcb_{name}")()
             for name in ("control", "passive", "sensor", "act_bias", "act_gain", "act_dyn")
         )
-        return not (self.felt or watched or called or steps.observer is not None or steps.in_graph)
+        return not (self.feedback or watched or called or steps.observer is not None or steps.in_graph)
 
     def advance(self) -> None:
         """Advance transducers and skins by the last MuJoCo step, with the pose at its beginning."""
@@ -343,10 +343,10 @@ class SceneRuntime:
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Return the place of a sensor, stored. Raises SceneError for a site on another body or far from the skin."""
-        known = self._places.get(sensor.name)
-        if known is None:
-            known = self._places[sensor.name] = sensor_place(self.model.skins[skin], *self._site(skin, sensor))
-        return known
+        place = self._places.get(sensor.name)
+        if place is None:
+            place = self._places[sensor.name] = sensor_place(self.model.skins[skin], *self._site(skin, sensor))
+        return place
 
     def check_sensors(self) -> None:
         """Refuse, before the run, sensors without a valid place on their skin; errors as `place`."""

@@ -107,7 +107,7 @@ def plan(
     model = view.runtime.model
     return Plan(
         view.name,
-        merged(modelled(model, view.duration_s, view.runtime.felt)),
+        merged(modelled(model, view.duration_s, view.runtime.feedback)),
         merged(effects_on_skin(model)),
         merged(other_effects(model)),
         merged(expected_errors(model)),

@@ -106,7 +106,7 @@ def test_what_feels_the_sound_is_stepped_one_by_one(
 ) -> None:
     slides = small_scene()
     sim = palmfield.Simulation(slides)
-    assert not sim.runtime.may_gather and "body 'pad' has degrees of freedom" in sim.runtime.felt
+    assert not sim.runtime.may_gather and "body 'pad' has degrees of freedom" in sim.runtime.feedback
     words = " ".join(row.why for row in plan(slides).modelled)
     assert "one at a time: body 'pad' has degrees of freedom, on which the sound acts" in words
     free = still()
@@ -118,7 +118,7 @@ def test_what_feels_the_sound_is_stepped_one_by_one(
     plain = free.with_name("plain.xml")
     arm = '<body name="arm" gravcomp="1"><joint type="slide"/><geom size="0.01" pos="0.1 0 0.2"/><body name="pad"'
     plain.write_text(plain.read_text().replace('<body name="pad"', arm).replace("</body>", "</body></body>"))
-    assert "body 'arm' has degrees of freedom" in palmfield.Simulation(free).runtime.felt
+    assert "body 'arm' has degrees of freedom" in palmfield.Simulation(free).runtime.feedback
 
 
 def test_a_reset_in_the_midst_is_that_of_mujoco(still: Callable[..., Path], tmp_path: Path) -> None:
