@@ -120,8 +120,8 @@ def approach(run: Run, axes: list[Axes]) -> str:
     axes[1].legend(loc="lower center")
     _displacement(axes[2], run)
     return (
-        f"ARP at the palm's middle follows |p|² of the free field at its place (float64 sum over the transducers, "
-        f"scaled to the same maximum) within {100 * off:.1f} % of the maximum, over heights of "
+        "The ARP at the middle of the palm agrees with |p|² of the free field there (float64 sum over the "
+        f"transducers, scaled to the same maximum) within {100 * off:.1f} % of the maximum, at heights of "
         f"{1e3 * places[inner, 2].min():.0f} to {1e3 * places[inner, 2].max():.0f} mm."
     )
 
@@ -142,9 +142,9 @@ def hover(run: Run, axes: list[Axes]) -> str:
     axes[1].set(ylabel="ARP [Pa]", title="ARP there, mean over a turn of 10 ms")
     _displacement(axes[2], run)
     return (
-        f"On the first way over, the mean ARP at the palm's middle, as a function of its x, has its centroid at "
-        f"{1e3 * middle:.1f} mm; the circle's middle is at 30 mm. It is largest where the palm's middle is near the "
-        "rim of the circle (radius 10 mm), on which the focus is all the time."
+        "During the first crossing, the mean ARP at the middle of the palm has its centroid at x = "
+        f"{1e3 * middle:.1f} mm; the centre of the circle is at 30 mm. This ARP is largest near the rim of the "
+        "circle (radius 10 mm), because the focus is always on the rim."
     )
 
 
@@ -163,7 +163,7 @@ def tap(run: Run, axes: list[Axes]) -> str:
     axes[1].set(ylabel="ARP [Pa]", title="Largest ARP on the pulp")
     _displacement(axes[2], run)
     return (
-        f"At the first burst, {1e3 * run.times[at]:.2f} ms, the pulp is at {1e3 * focus[at, 2]:.2f} mm "
+        f"At the first burst, at {1e3 * run.times[at]:.2f} ms, the pulp is at a height of {1e3 * focus[at, 2]:.2f} mm "
         "(button: 200 mm)."
     )
 
@@ -186,8 +186,7 @@ def follow(run: Run, axes: list[Axes]) -> str:
     )
     way = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
     return (
-        f"The focus is at most {1e3 * np.nanmax(gap):.2f} mm from the skin (as linear triangles on the bones) "
-        f"while the pulp goes {1e3 * way:.0f} mm."
+        f"The focus is at most {1e3 * np.nanmax(gap):.2f} mm from the skin while the pulp moves by {1e3 * way:.0f} mm."
     )
 
 
@@ -212,8 +211,8 @@ def trace(run: Run, axes: list[Axes]) -> str:
     axes[1].set(ylabel="roll [°]", title="Turn of the hand about its fingers' direction", xlabel="time [ms]")
     _displacement(axes[2], run)
     return (
-        f"In the hand's frame the focus runs at {np.median(speed):.2f} m/s (median; asked: 4 m/s) and stays within "
-        f"{1e3 * np.nanmax(gap):.2f} mm of the skin (linear triangles) while the hand rolls by {np.ptp(roll):.1f}°."
+        f"In the frame of the hand, the speed of the focus is {np.median(speed):.2f} m/s (median; key: 4 m/s). The "
+        f"focus stays within {1e3 * np.nanmax(gap):.2f} mm of the skin while the hand rolls by {np.ptp(roll):.1f}°."
     )
 
 
@@ -227,9 +226,8 @@ def two_hands(run: Run, axes: list[Axes]) -> str:
     axes[0].set(ylabel="ARP [Pa]", title="ARP at the right palm, mean over a period of 5 ms")
     _displacement(axes[1], run)
     return (
-        f"ARP at the palm's middle: {free:.2f} Pa free, {least:.2g} Pa at the least in the shadow (rays: nothing bends "
-        f"round the hand), ratio {least / free:.1e}; {felt[inner][-1]:.2f} Pa when the hand has passed "
-        f"({felt[inner][-1] / free:.3f} of the free)."
+        f"The ARP at the middle of the palm is {free:.2f} Pa without a shadow, at least {least:.2g} Pa in the "
+        f"shadow (with rays, no sound is diffracted), and {felt[inner][-1]:.2f} Pa after the hand has passed."
     )
 
 
@@ -256,9 +254,9 @@ def grasp(run: Run, axes: list[Axes]) -> str:
     # Over a stretch, contact and weight together change the ball's momentum.
     rise = float(model.body_mass[model.body("ball").id] * np.gradient(np.gradient(ball, times), times)[held].mean())
     return (
-        f"Mean vertical contact force on the ball after {1e3 * GRIP_FROM_S:.0f} ms: {force[held].mean() / weight:.3f} "
-        f"of its weight ({rise / weight:+.3f} of it lifts the ball as the hand goes up); the ball moves by "
-        f"{1e3 * np.ptp((ball - hand)[held]):.2f} mm against the hand."
+        f"The mean vertical contact force on the ball after {1e3 * GRIP_FROM_S:.0f} ms is "
+        f"{force[held].mean() / weight:.3f} of its weight ({rise / weight:.3f} of it accelerates the ball upwards). "
+        f"The ball moves by {1e3 * np.ptp((ball - hand)[held]):.2f} mm relative to the hand."
     )
 
 
@@ -286,11 +284,9 @@ def stroke(run: Run, axes: list[Axes]) -> str:
     slow, fast = (describe(material, f).shear_speed_m_s for f in (50.0, 500.0))
     figures = "; ".join(f"{1e3 * m:.0f} mm ({1e3 * a:.0f} to {1e3 * b:.0f}) at {v:g} m/s" for v, m, a, b in found)
     return (
-        f"Wake length, median (least to largest): {figures}. Shear waves in this material run at {slow:.1f} m/s at "
-        f"50 Hz and {fast:.1f} m/s at 500 Hz. The wake is the length of path behind the focus on which the envelope of "
-        "the skin's normal velocity (its largest magnitude within 5 mm of each place on it) stays above 10 % of "
-        "its largest value behind the focus, at all skin steps while the focus has gone 60 to 90 % of the first way. "
-        f"The three runs have one mesh, {run.wakes[4.0]['unknowns']} unknowns (element_m 0.0045, max_frequency_Hz 500)."
+        "The wake is the part of the path behind the focus on which the skin still moves: its normal velocity is above "
+        "10 % of the largest value behind the focus. The median length of the wake (smallest to largest) is "
+        f"{figures}. Shear waves in this material have {slow:.1f} m/s at 50 Hz and {fast:.1f} m/s at 500 Hz."
     )
 
 
@@ -411,24 +407,25 @@ STORIES = {
     "approach_withdraw": Story(
         "A flat hand comes down through a fixed focus at 200 mm, modulated at 200 Hz, and withdraws.", EQUAL, approach),
     "hover_explore": Story(
-        "A hand at 200 mm moves over a focus that runs on a circle 30 mm to one side, and spreads its fingers. The "
-        "sound does not depend on the hand.", EQUAL, hover),
+        "A hand at a height of 200 mm moves over a focus and spreads its fingers. The focus moves on a circle whose "
+        "centre is 30 mm to one side. The sound does not depend on the hand.", EQUAL, hover),
     "tap_button": Story(
         "A pointing finger goes down. When its pulp passes 200 mm, five bursts of 4 ms imitate a button.", EQUAL, tap),
     "follow_fingertip": Story(
-        "A pointing finger draws half a circle in the air and bends; the focus follows in the pulp's frame.",
+        "A pointing finger draws half a circle in the air and bends. The focus is defined in the frame of the pulp, so "
+        "it follows the finger.",
         MAP_FIRST, follow),
     "stroke_palm": Story(
-        "A focus strokes the skin of a resting hand from the thenar to the pulp of the index finger and back, as in "
-        "Reardon's study of waves in the hand. The cost of 0.5 s on one core is below; a thin reference layer "
-        "takes 43 s (bench/stroke.md).", EQUAL, stroke),
+        "A focus strokes the skin of a hand at rest, from the thenar to the pulp of the index finger and back, as in "
+        "the study of Reardon et al. A thin reference layer takes less time ([stroke](bench/stroke.md)).",
+        EQUAL, stroke),
     "trace_shape": Story(
-        "A focus writes a Z on the palm of a rolling hand; the path turns with the skin.",
+        "A focus writes a Z on the palm of a rolling hand. The path rotates with the skin.",
         MAP_FIRST, trace),
     "two_hands": Story(
-        "A left hand passes between the array and a right hand and shadows its focus.",
+        "A left hand passes between the array and a right hand, and casts a shadow on its focus.",
         (1.0, 1.0), two_hands),
     "grasp_object": Story(
-        "Thumb, index and middle finger hold a ball of 32 mm and 20 g by friction and lift it, over a focus on the "
-        "palm; the ball casts a shadow.", EQUAL, grasp),
+        "Thumb, index and middle finger hold a ball of 32 mm and 20 g by friction and lift it. The focus is on the "
+        "palm, and the ball casts a shadow.", EQUAL, grasp),
 }  # fmt: skip

@@ -224,6 +224,11 @@ def random_case(random: np.random.Generator) -> tuple[Slab, Spot, np.ndarray, np
     return body, Spot(fwhm, times, amplitude, centre), times, points
 
 
+WEDGES = "| side | static push [nm/Pa] | difference, static | difference, 1 ms ramp | unknowns of wedges |"
+REDUCED = (
+    "| unknowns | tolerance | vectors | state | time to make [s] | estimate | difference | full step [ms] "
+    "| reduced step [us] | speed-up |"
+)
 RANDOM = ["| case | body | spot [mm] | wanted | estimate | differs by | wall [s] |", ""]
 
 
@@ -233,46 +238,46 @@ def main() -> None:
     head = ["| side | load | error | velocity | estimate | wall [s] | cpu [s] | predicted [s] | how |", ""]
     cases = case_rows(SIDES)
     lines = [
-        "# Disc by harmonics, and the reduced model",
+        "# Solver `axisymmetric` and the reduced model",
         "",
-        "Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_axisymmetric.py`",
-        f"CPU: {processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} when started; commit {commit}.",
+        "For developers of solvers. Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python",
+        f"scripts/bench_axisymmetric.py`, {processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at "
+        "the start;",
+        f"commit {commit}.",
         "",
-        "Reference disc at accuracy 1 %, 0.2 s, 2001 times, centre and r = 10 mm. Error: L2 over the times",
-        "of the displacement vector, the worse point, against degree 7 with reduced models at 0.02 %. A load that",
-        "starts with a jump (step, AM, STM) makes pressure echoes up to any frequency: they leave a floor of about",
-        "0.1 % in the displacement, and a velocity that converges slowly. `cpu`: over all cores; `predicted`: by",
-        f"`cost_axisymmetric`. {keep_rows(target, [*head, *cases])} has each side, and the meshes.",
+        "The reference disc is solved at accuracy 1 % for 0.2 s, at 2001 times, at the centre and at r = 10 mm. The "
+        "error",
+        "is in L2 over the times, at the worse point, compared with degree 7 and reduced models at 0.02 %. A load that",
+        "starts with a jump (step, AM, STM) causes pressure echoes at all frequencies. They leave an error of about "
+        "0.1 %",
+        "in the displacement, and the velocity converges slowly. CPU time is over all cores; `cost_axisymmetric` "
+        "predicts",
+        f"it. {keep_rows(target, [*head, *cases])} has each side, and the meshes.",
         "",
-        "| load, all sides | error | velocity | estimate | wall [s] | cpu [s] | predicted [s] |",
+        "| load, for all sides | error of the displacement | error of the velocity | estimate | wall time [s] | CPU "
+        "time [s] | predicted [s] |",
         "|---|---|---|---|---|---|---|",
         *ranged(cases, (1,), (2, 3, 4, 5, 6, 7)),
         "",
-        f"AM 200 Hz, last 20 ms, roller sides, against the exact series: {oracle_row()}.",
+        f"For AM of 200 Hz with roller sides, the error of the last 20 ms is {oracle_row()}, compared with the "
+        "exact series.",
         "",
-        "3-D quadratic wedges (6 / 15 mm, 3 layers, step 0.1 ms) beside the disc at 0.2 %; push in nm per Pa,",
-        "differences at the centre / r = 10 mm:",
-        "",
-        "| side | static push | wedges' static differs by | wedges' 1 ms ramp differs by | wedge unknowns |",
-        "|---|---|---|---|---|",
-        *wedge_rows(),
-        "",
-        "Reduced model of the wedge body (fixed sides, one spot, two points, 0-600 Hz); step 0.1 ms. What it differs",
-        "by from that body (consistency) is the largest of 70, 200, 400 Hz:",
-        "",
-        "| unknowns | tolerance | vectors | state | made in [s] | estimate | differs by | full step [ms] "
-        "| reduced step [us] | faster |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-        *reduced_rows(),
+        f"{keep_rows(target, [WEDGES, '', *wedge_rows()], 'skin_axisymmetric_wedges')} has the difference of "
+        "quadratic wedges",
+        "(6 / 15 mm, 3 layers, step 0.1 ms) from this solver at 0.2 %, at the centre / r = 10 mm.",
+        f"{keep_rows(target, [REDUCED, '', *reduced_rows()], 'skin_axisymmetric_reduced')} has reduced models of "
+        "these wedges",
+        "(fixed sides, one spot, two points, 0-600 Hz) and their largest difference at 70, 200 and 400 Hz.",
         "",
     ]
     if "--quick" not in sys.argv:
         rows, covered, median = random_rows()
         lines += [
-            f"{len(rows)} random cases (30 ms) against the same solver of degree 7, on a finer grid with a tenth of "
-            "the tolerances",
-            f"(consistency): the difference is at most the estimate in {100 * covered:.0f} %, median of estimate / "
-            f"difference {median:.1f}",
+            f"{len(rows)} random cases of 30 ms were compared with the same solver of degree 7, on a finer grid "
+            "with a tenth",
+            f"of the tolerances (consistency). The difference is at most the estimate in {100 * covered:.0f} % of "
+            "cases; the",
+            f"median of estimate / difference is {median:.1f}",
             f"({keep_rows(target, [*RANDOM, *rows], 'skin_axisymmetric_random')}).",
             "",
         ]

@@ -150,8 +150,8 @@ Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_particle
 Device: {arguments.device}; machine: {platform.processor() or platform.machine()}, one thread.
 
 Disc 120 x 20 mm, Ecoflex 00-10 (nu 0.495), bonded, roller sides, spot of 10.3 mm, {LASTS:g} s from rest. Errors are
-relative L2 over time, at the centre and 10 mm off, against the exact layer; "law" is `law_error`, what the solver goes
-by. Cost is that of one run, in {clock}, the search for the stable step included.
+in relative L2 over time, at the centre and 10 mm off, compared with the exact layer. "Law" is `law_error`, the
+error that the solver predicts. Cost is that of one run, in {clock}, the search for the stable step included.
 
 | spacing [mm] | particles | ramp: centre | 10 mm | law | AM: centre | 10 mm | law | step [us] | cost [s] | us each |
 |---|---|---|---|---|---|---|---|---|---|---|

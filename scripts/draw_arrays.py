@@ -214,10 +214,11 @@ def in_phase(name: str) -> float:
 def bow_notes(spots: dict[str, Spot]) -> list[str]:
     names = [name for name in spots if name.startswith("two_bow")]
     lines = [
-        "Mizushima & Sato 2024 print speakers at 40, 28 and 10 deg from the line to the focus, and half-widths of 3 mm "
-        "in y, 8 (or 10) mm in x and 10 (or 8) mm in z. Driving all speakers together gives less than focusing them.",
+        "The two bows are from Mizushima & Sato 2024. The paper prints speakers at 40, 28 and 10 deg from the line to "
+        "the focus, and half-widths of 3 mm in y, 8 (or 10) mm in x and 10 (or 8) mm in z. The last column is |p| at "
+        "the focus if all speakers have the same phase, divided by |p| if they are focused.",
         "",
-        "| layout | angles [deg] | half-width y, x, z [mm] | driven together / focused |",
+        "| layout | angles [deg] | half-width y, x, z [mm] | same phase / focused |",
         "|---|---|---|---|",
     ]
     for name in names:
@@ -235,11 +236,12 @@ def page(spots: dict[str, Spot]) -> str:
         "# Arrays",
         "",
         f"For everyone who chooses an array. Made by `python scripts/draw_arrays.py`, commit {commit}; do not edit. "
-        "Fields: float64 sums at full drive, air of 20 C and 50 % humidity, linear. Peaks: |p| at the focus over p0; "
-        "widths and depth: full, at half (-6 dB) of that. Sizes: over the centres plus 10 mm.",
+        "The table has the focus of each array at full drive, in linear air of 20 C and 50 % humidity. The peak is "
+        "|p| at the focus, divided by p0. Width and depth are where |p| is above half of it (-6 dB). The size is from "
+        "centre to centre plus 10 mm. [Glossary](glossary.md).",
         "",
-        "| layout | n | size [mm] | focus z [mm] | peak/p0 [1/m] | width x [mm] | width y [mm] | depth [mm] | "
-        "loudest on axis at z [mm] |",
+        "| layout | transducers | size [mm] | focus z [mm] | peak/p0 [1/m] | width x [mm] | width y [mm] | depth "
+        "[mm] | loudest on axis at z [mm] |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, found in spots.items():
@@ -253,8 +255,8 @@ def page(spots: dict[str, Spot]) -> str:
     lines += ["", *NOTES]
     lines += [*bow_notes(spots), ""]
     lines += [
-        f"The quintic that stands for the T4010A1's table is at most {table_misfit(T4010A1_DIRECTIVITY):.4f} of the "
-        "axis value away from its entries.",
+        "The directivity of the T4010A1 is a polynomial that differs from its table by at most "
+        f"{table_misfit(T4010A1_DIRECTIVITY):.4f} of the value on the axis.",
         "",
     ]
     lines += ["## How loud the transducers are", "", *LEVEL, *level_table(spots), "", *CSV, *CALIBRATION]
@@ -273,8 +275,9 @@ def level_table(names: Iterable[str]) -> list[str]:
     rows: dict[tuple[Estimate, Estimate], list[str]] = {}
     for name in names:
         rows.setdefault((LAYOUTS[name].p0, LAYOUTS[name].quality), []).append(name)
-    lines = ["| layouts | p0 [Pa m] | range | kind | source | Q | range |", "|---|---|---|---|---|---|---|"]
-    for (p0, quality), same in [*rows.items(), ((ANY_P0, ANY_QUALITY), ["sites", "csv"])]:
+    rows.setdefault((ANY_P0, ANY_QUALITY), []).extend(["sites", "csv"])
+    lines = ["| layouts | p0 [Pa m] | range | kind | source | Q | range of Q |", "|---|---|---|---|---|---|---|"]
+    for (p0, quality), same in rows.items():
         lines.append(
             f"| {', '.join(same)} | {p0.value:g} | {p0.low:g} to {p0.high:g} | {p0.kind} | {p0.source} | "
             f"{quality.value:g} | {quality.low:g} to {quality.high:g}, {quality.kind} |"
@@ -283,32 +286,35 @@ def level_table(names: Iterable[str]) -> list[str]:
 
 
 LEVEL = [
-    "p0 is the peak pressure of one transducer at 1 m on its axis at full drive. ARP and motion are proportional to "
-    "its square: a range of 0.7 to 2.6 Pa m is a factor of 14. No value of a layout is measured: results are "
-    "uncalibrated, with a range, until key `calibration` of `palmfield.array` names a laboratory's file. With key "
-    "`arp_peak_Pa` p0 decides only whether the array reaches the level.",
+    "p0 is the peak pressure of one transducer at 1 m on its axis at full drive. ARP and motion are proportional "
+    "to its square: a range of 0.7 to 2.6 Pa m is a factor of 14. p0 was not measured for any layout. So results "
+    "are uncalibrated and have a range, until key `calibration` of `palmfield.array` names a file from a "
+    "laboratory. With key `arp_peak_Pa`, p0 decides only whether the array can reach the level. Q is the quality "
+    "of the resonance.",
     "",
 ]
 CSV = [
     "## Arrays from a file",
     "",
-    "Layout `csv` reads key `transducers`, a file with one line per transducer below the column names: `x_m`, `y_m`, "
-    "`z_m` (or `_mm`) in the frame of the array's site; `nx`, `ny`, `nz`, the emitting direction (default z); `gain` "
-    "(relative to p0; 0 is dead, -1 inverted) and `phase_deg`; `address`, the place in the board's byte order.",
+    "Layout `csv` reads the file that key `transducers` names. It has column names and one line per transducer. "
+    "`x_m`, `y_m`, `z_m` (or `_mm`) are the position in the frame of the site of the array. `nx`, `ny`, `nz` are "
+    "the direction of emission (default z). `gain` is relative to p0 (0 is dead, -1 inverted), `phase_deg` is the "
+    "phase, and `address` the place in the byte order of the board.",
     "",
 ]
 CALIBRATION = [
     "## Calibrations",
     "",
-    "Key `calibration` names a JSON file of a laboratory's own board: p0, polarity, phase and gain of each transducer, "
-    "resonance, place ([calibration.md](calibration.md)). Polarity and phase are subtracted from what a board is sent "
-    "([boards](boards.md#faults-and-calibration)).",
+    "Key `calibration` names a JSON file with the measured properties of one board: p0, resonance, position, and "
+    "the polarity, phase and gain of each transducer ([calibration](calibration.md)). Polarity and phase are "
+    "subtracted from the drive ([boards](boards.md#faults-and-calibration)).",
     "",
 ]
 NOTES = [
-    "`palmfield.acoustics.arrays`: `from_poses` takes positions and axes, `placed` moves an array, `combined` joins "
-    "several, `with_faults` silences or inverts transducers. `compensate` (`palmfield.acoustics.focus`) undoes phase "
-    "errors; `calibrate_p0` (`palmfield.acoustics.calibrate`) estimates p0 from microphone readings.",
+    "In Python, `palmfield.acoustics.arrays` has functions for arrays. `from_poses` makes an array from positions "
+    "and axes, `placed` moves it, `combined` joins several, and `with_faults` silences or inverts transducers. "
+    "`palmfield.acoustics.focus.compensate` corrects phase errors, and "
+    "`palmfield.acoustics.calibrate.calibrate_p0` estimates p0 from microphone readings.",
     "",
 ]
 

@@ -66,7 +66,8 @@ def main() -> None:
             "",
             "## Faults",
             "",
-            "One fault each, put into `open_men_p50` at 4 mm edges; the card's line that names it, places in mm.",
+            "Each fault was put into `open_men_p50` with edges of 4 mm. The table has the line of the report card "
+            "that names it, without the positions.",
             "",
             *fault_table(folder),
             "",
@@ -146,7 +147,7 @@ def fault_table(folder: Path) -> list[str]:
     for name, (build, _) in FAULTS.items():
         vertices, faces, _ = build()
         card = report_card(written(folder / f"{name.replace(' ', '_')}.ply", vertices, faces), "mm")
-        lines.append(f"| {name} | {line_naming(as_text(card.facts), f' x {name}:')} |")
+        lines.append(f"| {name} | {line_naming(as_text(card.facts), f' x {name}:').partition('; at (')[0]} |")
         if name in SEEN:
             draw_card(card, IMAGES / f"{SEEN[name]}.png")
     for name, unit, content in (("wrong unit", "m", None), ("unreadable", "mm", b"ply\nnothing else")):

@@ -28,15 +28,16 @@ DURATIONS_S = {"stroke_palm": 0.5}
 HEAD = """\
 # Scripted scenarios
 
-For authors of scenes with moving hands: eight examples in `mjcf/scenes/`. `python scripts/scenarios.py` writes this
-page; do not edit. Run one by `palmfield run mjcf/scenes/tap_button.xml --out out/tap_button`.
+For authors of scenes with moving hands. `mjcf/scenes/` has eight examples. To run one, type `palmfield run
+mjcf/scenes/tap_button.xml --out out/tap_button`. `python scripts/scenarios.py` writes this page; do not edit it.
 
-Figures are from single runs with `accuracy` 0.2 (the stroke 0.1) on a shared machine. Checks concern motion, sound
-and, for the stroke, skin motion over time. Fixed cut edges of small patches (15 to 32 mm) cause most of the error.
+Each example has a picture, a check of its motion or sound, and its cost. The values are from single runs with
+`accuracy` 0.2 (the stroke: 0.1) on a shared machine. Most of the error comes from the fixed cut edges of small
+patches (15 to 32 mm).
 
 ## Writing one
 
-`palmfield.motion` moves a hand; [keys.md](keys.md) has all its keys:
+The plugin `palmfield.motion` moves a hand ([keys](keys.md), [motion](motion.md)):
 
 ```xml
 <include file="plain_articulated.xml"/>
@@ -48,14 +49,16 @@ and, for the stroke, skin motion over time. Fixed cut edges of small patches (15
 </plugin>
 ```
 
-`hand` names the preset whose joints move; without it only the pose moves. One of `keyframes`, `trajectory`,
-`tracking` and `function` gives the motion ([motion.md](motion.md)); files are relative to the scene. `start_s` shifts
-it. `follow` is `servo` (springs, with a slight lag) or `exact`. A second hand needs an instance with `body`
-`PREFIXhand_target` (`two_hands.xml`); its skin needs one of `palmfield.skin` (`two_hands_both_feel.xml`). With
-`body_sound` `shadows` bodies with skin and those in key `obstacles` cast shadows; `shadow_edges` `rays` is faster and
-used here ([shadows](bench/shadows.md)).
+`hand` names the preset whose joints move. Without this key only the pose of the hand moves. One of the keys
+`keyframes`, `trajectory`, `tracking` and `function` gives the motion. Paths are relative to the scene. `follow` is
+`servo` (springs, with a slight lag) or `exact`.
 
-A keyframe file is TOML, two or more tables `[[key]]` with rising times:
+A second hand needs another instance of `palmfield.motion` with `body` `PREFIXhand_target` (`two_hands.xml`). The
+skin of a second hand needs another instance of `palmfield.skin` (`two_hands_both_feel.xml`). With `body_sound`
+`shadows`, bodies with skin and the bodies in key `obstacles` cast shadows. These examples use `shadow_edges`
+`rays`, which is faster ([shadows](bench/shadows.md)).
+
+A keyframe file is TOML. It has two or more tables `[[key]]` with rising times:
 
 ```toml
 [[key]]
@@ -70,13 +73,11 @@ turn_deg = [0.0, 20.0, 0.0]      # rotation vector; or quaternion = [w, x, y, z]
 joints_deg = { index_mcp_flexion = 30 }    # angles that differ from the pose
 ```
 
-A pose whose skin intersects itself is refused with the key number.
+A pose whose skin intersects itself is refused; the error gives the number of the key.
 
-The stimulus moves with the hand if `frame` names one of its sites (`index_pad`, `palm_centre`). `path_on` `skin` draws
-the path on the surface, from the skin nearest to `focus_m`; `path` `sites` with `path_sites` takes the shortest path on
-the skin through sites. `on_skin` selects one of several skins. Change a key without a new file by
-`palmfield.Simulation(path, keys={"stimulus.path_speed_m_s": 11})` or `--set stimulus.path_speed_m_s=11`.
-"""
+The focus moves with the hand if key `frame` of the stimulus names a site of the hand (`index_pad`, `palm_centre`).
+With `path_on` `skin`, the path is drawn on the skin around the point nearest to `focus_m`. With `path` `sites`, it
+is the shortest path on the skin through the sites in `path_sites`. """
 
 
 def main() -> None:

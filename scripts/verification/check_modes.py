@@ -263,37 +263,42 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dic
     text = [
         "# Modes for every load of a class",
         "",
-        "A skin with an unpredictable load uses modes for every sound of the arrays on a region",
-        "(`palmfield/skin/reduction/modal_stepper.py`). Errors are against the full wedge model on the same mesh,",
-        "with the same step, under loads that were not used to build the modes (consistency; [skin](skin.md) has",
-        "accuracy).",
+        "For developers. If the load of a skin cannot be predicted, palmfield uses modes for every sound of the "
+        "arrays on a",
+        "region (`palmfield/skin/reduction/modal_stepper.py`). This page has the errors of such modes under loads "
+        "that were",
+        "not used to make them. The reference is the full wedge model on the same mesh with the same step "
+        "(consistency;",
+        "[skin](skin.md) has accuracy).",
         "",
         f"Written by `python scripts/verification/check_modes.py {asked} --write docs/bench/modes.md`, commit "
         f"{commit}, {processor()}, Python {platform.python_version()}.",
         "",
-        "`:sheets`: finger_pad, palm and forearm in shares of 0.1, 0.3 and 0.6, with three relaxation laws.",
-        "`:contrast`: a sheet of 1 MPa (0.05) with low loss on one of 10 kPa with high loss. `:shadows`: modes made",
-        "for shadows. Memory: vectors and load shapes.",
+        "- `:sheets` has the sheets finger_pad, palm and forearm in shares of 0.1, 0.3 and 0.6, with three "
+        "relaxation laws.",
+        "- `:contrast` has a sheet of 1 MPa (share 0.05) with low loss on a sheet of 10 kPa with high loss.",
+        "- `:shadows` has modes that were made for shadows.",
         "",
-        *base_table(lines),
-        "",
-        "Error / estimate with the most modes in percent, displacement, then velocity; L2 over the surface and 50 ms.",
-        "The estimate combines two parts: the change with one block of vectors fewer and the omitted weak modes and",
-        "coupling; and the part of the load outside the class, measured in each step (three times the pressure part",
-        f"for the velocity). {keep_rows(page, [*ROWS, *lines])} has both parts and the smaller bases.",
+        f"{keep_rows(page, base_table(lines), 'modes_bases')} has shapes, build times and memory. A cell of the "
+        "next table has",
+        "error / estimate of the displacement, then of the velocity, in percent, with the most modes; L2 over the "
+        "surface",
+        f"and 50 ms. {keep_rows(page, [*ROWS, *lines])} has the parts of the estimate and fewer modes.",
         "",
         *error_table(lines),
         "",
-        "*Finger's shadow*: pressure acts on the lit share of each point's area. *Shadow by points*: each point is lit",
-        "or dark, as in a scene. The full model responds to jumps of that edge with clicks from the mesh: its motion",
-        "under the two shadows differs by "
+        "*Finger's shadow*: the pressure acts on the lit share of the area of each point. *Shadow by points*: each "
+        "point is",
+        "lit or dark, as in a scene. When the edge of a shadow jumps, the mesh of the full model responds with "
+        "clicks. Its",
+        "motion (displacement / velocity) under the two shadows differs by "
         + "; ".join(f"{100 * u:.1f} / {100 * v:.0f} % ({scene})" for scene, (u, v) in jumps.items())
-        + ". Modes omit most clicks: their velocity under the shadow by points differs from that of the full model",
+        + ". Modes omit most clicks. Their velocity under the shadow by points differs from that of the full model",
         "under the smooth shadow by " + "; ".join(f"{100 * v:.0f} % ({scene})" for scene, v in smoother.items()) + ".",
         "",
-        "The estimate of the displacement covers all rows, that of the velocity the smooth shadow but usually not the",
-        "shadow by points. If a step lies outside by more than the target accuracy, `solver` `auto` changes to the",
-        "full wedge model.",
+        "The estimate of the displacement covers all rows. The estimate of the velocity covers the smooth shadow, but",
+        "usually not the shadow by points. If a larger part of a load than the target accuracy lies outside the class,",
+        "`solver` `auto` changes to the full wedge model.",
         "",
         f"![Error against the number of modes]({picture.name})",
         "",

@@ -184,9 +184,9 @@ def table(result: Measured, command: str, page: Path) -> str:
 
 HEAD = """# Bench: the live view
 
-Made by `scripts/verification/check_view.py`. A picture is a new state of the skin's mesh with its colours, as a client
-gets it over its websocket; the drawing of the browser is not included. On a busy machine the CPU time of a step is
-more reliable than steps per second.
+Made by `scripts/verification/check_view.py`. A picture is a new state of the mesh of the skin with its colours, as
+a client receives it. Drawing in the browser is not included. On a busy machine, the CPU time of a step is more
+reliable than the number of steps per second.
 
 """
 
