@@ -40,6 +40,13 @@ def run(
     ] = None,
     no_plots: Annotated[bool, typer.Option("--no-plots", help="draw no pictures")] = False,
     no_usd: Annotated[bool, typer.Option("--no-usd", help="write no scene.usdc")] = False,
+    estimate: Annotated[
+        str,
+        typer.Option(
+            help="error estimate: quick, full (with a finer mesh; takes several times as long), or none",
+            metavar="KIND",
+        ),
+    ] = "quick",
     details: Annotated[
         bool, typer.Option("--details", help="print all numbers, observers and parts of the error")
     ] = False,
@@ -69,6 +76,7 @@ def run(
     # The imports take seconds
     with Console(stderr=True, quiet=quiet).status("loading palmfield"), phase("imports"):
         import palmfield
+        from palmfield.estimate.estimated_run import checked_kind
         from palmfield.outputs.summary_table import format_summary
         from palmfield.planning.scene_plan import warnings
 
@@ -77,6 +85,9 @@ def run(
     options.check_duration(duration)
     if plots is not None and no_plots:
         raise SceneError("--plots and --no-plots exclude each other; give one of them")
+    kind = checked_kind(estimate)
+    if strict and kind == "none":
+        raise SceneError("--strict needs an error estimate; give --estimate quick or full")
     kinds = [] if no_plots else None if plots is None else [kind for kind in plots.split(",") if kind]
     changed, out = options.parsed_keys(keys), out or Path("out") / scene.stem
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
@@ -88,7 +99,14 @@ def run(
         LOG.warning(warning)
     try:
         result = run_scene(
-            simulation, out, duration_s=duration, overwrite=overwrite, progress=not quiet, plots=kinds, usd=not no_usd
+            simulation,
+            out,
+            duration_s=duration,
+            overwrite=overwrite,
+            progress=not quiet,
+            plots=kinds,
+            usd=not no_usd,
+            estimate=kind,
         )
     except KeyboardInterrupt as error:
         if hasattr(error, "result"):

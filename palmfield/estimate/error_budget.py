@@ -30,18 +30,24 @@ SOURCES = ("mesh", "step", "reduction", "edge", "field", "law")
 
 
 def error_budget(
-    model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation, course: SteppedRun
+    model: HapticModel,
+    skin: int,
+    loudest: LoudestMoment,
+    radiation: Radiation,
+    course: SteppedRun,
+    *,
+    thorough: bool = False,
 ) -> dict[str, Any]:
     """Return the budget of the motion of a skin as plain JSON.
 
     Arguments and errors raised (SceneError): as in `palmfield.estimate.numerical_error.error_estimate`.
-    quantity: quantity to which all parts are relative.
+    quantity: quantity to which all parts are relative. estimate: "full" if `thorough`, else "quick".
     numerical: SOURCE_error_relative for each of SOURCES, displacement_error_relative of all sources together, and the
         other entries of the numerical estimate.
     left_out: list of what, low, high (bias; None if not estimated) and why.
     inputs: list of what, low, high (factors of the displacement; None if not estimated), kind and why.
     """
-    estimate = error_estimate(model, skin, loudest, radiation, course)
+    estimate = error_estimate(model, skin, loudest, radiation, course, thorough=thorough)
     band = estimate.pop("material_band_low", None), estimate.pop("material_band_high", None)
     estimate["field_error_relative"] = field_error(model, skin, loudest, radiation)
     law = max(sheet.material.series_error for sheet in model.skins[skin].layer.sheets)
@@ -57,6 +63,7 @@ def error_budget(
     found = biases(model, skin, stimulus, loudest.posed, loudest.drive, focus, highest)
     return {
         "quantity": QUANTITY,
+        "estimate": "full" if thorough else "quick",
         "numerical": estimate,
         "left_out": [asdict(bias) for bias in found],
         "inputs": [

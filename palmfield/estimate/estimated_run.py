@@ -3,13 +3,15 @@
 import logging
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import xarray as xr
 from rich.progress import Progress
 
+from palmfield.errors import SceneError
 from palmfield.estimate.cost import estimate_s
 from palmfield.estimate.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.outputs.motion import normal_component, pieces
@@ -22,6 +24,9 @@ from palmfield.session.simulation import Simulation
 from palmfield.types import Float
 
 LOG = logging.getLogger("palmfield.estimate")
+EstimateKind = Literal["quick", "full", "none"]
+NONE = "estimate is none"
+"""Reason for a missing error budget."""
 
 
 def run(
@@ -33,6 +38,7 @@ def run(
     overwrite: bool = False,
     plots: Sequence[str] | None = None,
     usd: bool = True,
+    estimate: EstimateKind = "quick",
 ) -> Result:
     """Simulate a scene from its present state and write result.nc, summary.json, pictures and scene.usdc.
 
@@ -41,24 +47,41 @@ def run(
         error. overwrite: whether the folder may contain the results of another run.
     plots: kinds of pictures (`palmfield.outputs.pictures.kinds.KINDS`) to draw in OUT/plots instead of the usual ones;
         an empty list draws none. usd: whether to write scene.usdc.
+    estimate: of the error: "quick" compares the mesh with coarser ones where that is reliable and uses the reduced
+        model of the run; "full" compares with a finer mesh and with a reduced model of its own, which takes several
+        times as long; "none" leaves the results without error and without bands of inputs.
     Ctrl-C, a full disk or an error in a module end the run early. The results so far are then written and marked
     incomplete, and the error (or KeyboardInterrupt) is raised. It has the Result as attribute `result`, so that a
     result in memory is not lost (in an interactive session: `sys.last_value.result`).
-    Raises OutputError if `out` cannot be written, contains an unfinished run or, without `overwrite`, another run.
+    Raises SceneError for another estimate, and OutputError if `out` cannot be written, contains an unfinished run or,
+    without `overwrite`, another run.
     """
-    estimates = Estimates(_budgets, _whole_summary)
+    estimates = Estimates(partial(_budgets, checked_kind(estimate)), _whole_summary)
     return run_recorded(
         scene, out, estimates, duration_s=duration_s, progress=progress, overwrite=overwrite, plots=plots, usd=usd
     )
 
 
-def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, Any]:
+def checked_kind(estimate: str) -> EstimateKind:
+    """Return a kind of error estimate. Raises SceneError for another word."""
+    for kind in get_args(EstimateKind):
+        if kind == estimate:
+            return cast(EstimateKind, kind)
+    raise SceneError(f"error estimate is '{estimate}'; allowed: {', '.join(get_args(EstimateKind))}")
+
+
+def _budgets(kind: EstimateKind, sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, Any]:
     """Return the error budget of the motion of each skin, or why there is none."""
+    if kind == "none":
+        return {name: None if recorder.loudest[number] is None else NONE for number, name in enumerate(sim.skins)}
     expected_s = sum(estimate_s(skin) for skin in sim.runtime.model.skins)
     task = bar.add_task("estimating the error", total=None, expected_s=expected_s)
     before = time.perf_counter()
     try:
-        return {name: estimated_budget(sim, number, recorder.loudest[number]) for number, name in enumerate(sim.skins)}
+        return {
+            name: estimated_budget(sim, number, recorder.loudest[number], kind == "full")
+            for number, name in enumerate(sim.skins)
+        }
     finally:
         LOG.debug("the error estimate took %.2f s", time.perf_counter() - before)
         bar.remove_task(task)

@@ -62,11 +62,13 @@ def error_estimate(
     course: SteppedRun,
     *,
     materials: bool = True,
+    thorough: bool = False,
 ) -> dict[str, float]:
     """Estimate the relative error of the displacement of a skin at its point nearest to the focus, by source.
 
     radiation: of the model; its boundary-element solution for that moment is reused.
     materials: whether the ranges of materials are evaluated too.
+    thorough: whether the other mesh is finer in any case, and a reduced model of the run is compared with a new one.
 
     mesh: solvers with an ExplicitLayer report their own estimate of mesh and steps. For all others, Richardson's rule
         on the mesh of the scene and a coarser one (a finer one for few unknowns), see `meshes_to_compare`, by reduced
@@ -91,7 +93,7 @@ def error_estimate(
     layer, stepper = model.skins[skin].layer, model.begin[skin].value
     small = None if stepper.adds_error is None else stepper
     sound, point = LoudestSound(model, skin, loudest, radiation), place_under_focus(model, skin, loudest)
-    finer = compares_with_finer(layer, layer.system.ndof)
+    finer = thorough or compares_with_finer(layer, layer.system.ndof)
     ends = softest_and_stiffest_sheets(layer.config) if materials else None
     config = model.stimuli[stimulus_of(model, skin)].config
     lasted_s = float(np.clip(course.end_s - config.start_s, model.spec.timestep_s, LONGEST_COURSE_S))
@@ -129,6 +131,7 @@ def error_estimate(
             config,
             lasted_s,
             materials,
+            thorough,
         ),
         None if small is None else small.made_of,
     )

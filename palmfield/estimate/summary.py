@@ -87,15 +87,21 @@ def skin_numbers(
     return result | {"verdict": verdict(result)}
 
 
-def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment | None) -> dict[str, Any] | str | None:
+def estimated_budget(
+    simulation: Simulation, skin: int, loudest: LoudestMoment | None, thorough: bool = False
+) -> dict[str, Any] | str | None:
     """Return the budget of the motion of a skin (`palmfield.estimate.error_budget.error_budget`), or why there is none.
 
-    None if the run was silent. loudest: see `skin_numbers`.
+    None if the run was silent. loudest: see `skin_numbers`. thorough: see `error_estimate`.
     """
     if loudest is None:
         return None
     runtime, moment = simulation.runtime, loudest
-    return _or_reason(lambda: error_budget(runtime.model, skin, moment, _radiation(runtime), _course(runtime, skin)))
+    return _or_reason(
+        lambda: error_budget(
+            runtime.model, skin, moment, _radiation(runtime), _course(runtime, skin), thorough=thorough
+        )
+    )
 
 
 def estimated_errors(runtime: SceneRuntime, skin: int, loudest: LoudestMoment) -> dict[str, float] | str:

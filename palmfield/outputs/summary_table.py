@@ -70,8 +70,9 @@ def _short(skin: Mapping[str, Any]) -> list[TextRow]:
     if error is not None:
         missed = f"target accuracy of {100 * skin['accuracy_wanted_relative']:g} % NOT reached: {advice(skin)}"
         reached = f"; {missed}" if skin.get("accuracy_reached") is False else ""
-        left = largest_left_out(skin.get("error_budget"))
-        rows.append(("error", f"numerical {figures(100 * error, 1.0)} %{reached}{left}"))
+        budget = skin.get("error_budget")
+        left, kind = largest_left_out(budget), f" ({budget['estimate']} estimate)" if budget else ""
+        rows.append(("error", f"numerical {figures(100 * error, 1.0)} %{kind}{reached}{left}"))
     return rows + _no_estimate(skin)
 
 

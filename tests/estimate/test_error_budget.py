@@ -20,6 +20,7 @@ from palmfield.estimate.numerical_error import SteppedRun
 from palmfield.outputs.budget_text import bias_text, budget_rows, in_a_line
 from palmfield.outputs.store import open_result
 from palmfield.outputs.summary import summary
+from palmfield.outputs.summary_table import format_summary
 from palmfield.planning.facts import first_drive
 from palmfield.session.loudest_moment import loudest_place
 from palmfield.session.recorded_run import Estimates, run_recorded
@@ -96,7 +97,7 @@ def test_all_parts_are_there_and_not_added_up(small_scene, moment):
     parts = [numerical[f"{name}_error_relative"] for name in SOURCES if name != "law"]
     assert numerical["displacement_error_relative"] == pytest.approx(np.hypot.reduce(parts))
     assert all(part >= 0.0 for part in parts) and 0.0 < numerical["field_error_relative"] < 1e-4
-    assert set(found) == {"quantity", "numerical", "left_out", "inputs"}
+    assert set(found) == {"quantity", "estimate", "numerical", "left_out", "inputs"}
     rows = dict(budget_rows(numerical | {"error_budget": found}))
     assert "p0 x 0.3 to x 4.2" in rows["error, inputs"] and "streaming" in rows["error, not modelled"]
     assert "numerical" in in_a_line(found) and in_a_line("no estimate") == ""
@@ -208,6 +209,24 @@ def test_a_result_a_summary_and_a_picture_hold_the_budget(small_scene, tmp_path)
     assert written["mesh_error_relative"] == stored["numerical"]["mesh_error_relative"]
     memory = palmfield.run(small_scene(), progress=False)
     assert json.loads(memory.dataset.attrs["error_budget"])["skin"]["quantity"] == stored["quantity"]
+
+
+def test_a_run_says_which_estimate_it_has(small_scene):
+    """The full estimate is another comparison of the same motion; without one nothing is claimed."""
+    sim, found = palmfield.Simulation(small_scene(skin={"element_m": 0.0018})), {}
+    for kind in ("quick", "full", "none"):
+        sim.reset()
+        found[kind] = palmfield.run(sim, progress=False, duration_s=0.003, estimate=kind).summary
+    quick, full, none = (summary["skins"][0] for summary in found.values())
+    assert [each["error_budget"]["estimate"] for each in (quick, full)] == ["quick", "full"]
+    assert quick["peak_displacement_m"] == full["peak_displacement_m"] == none["peak_displacement_m"]
+    assert quick["mesh_error_relative"] != full["mesh_error_relative"]
+    assert 0.2 < quick["mesh_error_relative"] / full["mesh_error_relative"] < 5.0
+    assert "error_budget" not in none and none["displacement_error_missing"] and none["accuracy_reached"] is None
+    shown = [format_summary(summary) for summary in found.values()]
+    assert "(quick estimate)" in shown[0] and "(full estimate)" in shown[1] and "none" in shown[2]
+    with pytest.raises(palmfield.SceneError, match="'fast'; allowed: quick, full, none"):
+        palmfield.run(sim, progress=False, estimate="fast")
 
 
 def test_the_quality_is_told_as_it_is_known(small_scene, moment, tmp_path):

@@ -263,7 +263,13 @@ def _part(what, low, high):
 def budget_of(left_out=(), inputs=()):
     """A skin's numbers with an error of 0.1 % and further bands."""
     errors = {f"{name}_error_relative": 1e-3 for name in ("mesh", "step", "reduction", "edge", "displacement")}
-    budget = {"quantity": "", "numerical": errors, "left_out": list(left_out), "inputs": list(inputs)}
+    budget = {
+        "quantity": "",
+        "estimate": "quick",
+        "numerical": errors,
+        "left_out": list(left_out),
+        "inputs": list(inputs),
+    }
     return errors | {"accuracy_wanted_relative": 0.05, "error_budget": budget}
 
 
