@@ -71,7 +71,7 @@ class ArrayDrive:
         self.wavenumber = 2.0 * math.pi * whole.frequency_Hz / self.sound_speed
         self.places: Float = np.ascontiguousarray(whole.positions[chosen].T)
         self.normals: Float = np.ascontiguousarray(whole.normals[chosen].T)
-        self._known: dict[bytes, UnitDrive] = {}
+        self._stored: dict[bytes, UnitDrive] = {}
         self._unchecked = True
         self._last: tuple[FocalPoints, bytes, UnitDrive] | None = None
         # Cache of palmfield.drive.transducer_response for fixed points
@@ -87,13 +87,13 @@ class ArrayDrive:
         drive that the board cannot play.
         """
         key = point.tobytes() if loudness is None else point.tobytes() + loudness.tobytes()
-        known = self._known.get(key)
-        if known is None:
-            known = self._made(point, loudness)
-            if len(self._known) >= KEPT:
-                del self._known[next(iter(self._known))]
-            self._known[key] = known
-        return known
+        unit = self._stored.get(key)
+        if unit is None:
+            unit = self._made(point, loudness)
+            if len(self._stored) >= KEPT:
+                del self._stored[next(iter(self._stored))]
+            self._stored[key] = unit
+        return unit
 
     def unit_drive_at(self, focal_points: FocalPoints, point: Float) -> UnitDrive:
         """Return `unit_drive` for one of the stimulus's points, shape (3,), at its present place."""
@@ -109,13 +109,13 @@ class ArrayDrive:
         loudness = focal_points.loudness(point)
         place = focal_points.at(point)
         if loudness is not None or place.ndim > 1:
-            return self._asked(place, loudness)[2]
+            return self._target(place, loudness)[2]
         # The board computes the phases
         if not np.logical_or.reduce(self._rays(*place)[1] > 0.0):
             self._refuse(place)
         return self.amplitude if self.arp_peak_Pa is None else float(self._levels(place[None])[0])
 
-    def _asked(self, point: Float, loudness: Float | None) -> tuple[Float, Complex, float]:
+    def _target(self, point: Float, loudness: Float | None) -> tuple[Float, Complex, float]:
         """Return the active focus or foci, the matched amplitudes of the transducers for them, and the level."""
         if loudness is not None:
             # Silent foci are omitted; a single remaining focus is computed as one focus
@@ -141,7 +141,7 @@ class ArrayDrive:
         return point, phases, level
 
     def _made(self, point: Float, loudness: Float | None) -> UnitDrive:
-        point, phases, level = self._asked(point, loudness)
+        point, phases, level = self._target(point, loudness)
         if self.board.takes == "focus":
             played = self.board.decode(self.board.encode_focus(point, level))[-1]
         else:
@@ -312,7 +312,7 @@ class ArrayDrive:
                 )
             raise SceneError(
                 f"arp_peak_Pa {target:g} exceeds the output of the array at {in_mm(foci[worst])}: "
-                f"{told_below(full_Pa[worst], target)} Pa at full drive with p0_Pa_m {self.array.array.p0_Pa_m:g}; "
+                f"{shown_below(full_Pa[worst], target)} Pa at full drive with p0_Pa_m {self.array.array.p0_Pa_m:g}; "
                 "set a lower value, or move the focus",
                 *self.about,
             )
@@ -322,7 +322,7 @@ class ArrayDrive:
 
     def _several(self, foci: Float, loudness: Float | None) -> Complex:
         """Return phases for several foci [m], shape (m, 3), of the chosen transducers, (n,); loudness: shape (m,)"""
-        from palmfield.drive.foci import together  # here and below: most stimuli have one focus
+        from palmfield.drive.foci import together  # imported here, because most stimuli have one focus
 
         transfer, facing = self._towards(foci)
         if self._unchecked or np.add.reduce(facing) <= len(foci):
@@ -373,18 +373,18 @@ class ArrayDrive:
         """`unit_drives` for drives that must be computed point by point; equal points are computed once."""
         rows, columns = points.shape[:2]
         drives = np.zeros((rows, self.count), np.complex128)
-        takes = [slice(None)] if group is None else [(group == j).nonzero()[0] for j in range(columns)]
-        known: dict[bytes, Complex] = {}
+        columns_of = [slice(None)] if group is None else [(group == j).nonzero()[0] for j in range(columns)]
+        stored: dict[bytes, Complex] = {}
         uneven = focal_points.table is not None or focal_points.arp
         for i in range(rows):
-            for j, taken in enumerate(takes):
+            for j, taken in enumerate(columns_of):
                 if audible is not None and not audible[i, j]:
                     continue
                 key = points[i, j].tobytes()
-                unit = known.get(key)
+                unit = stored.get(key)
                 if unit is None:
                     loudness = focal_points.loudness(points[i, j]) if uneven else None
-                    unit = known[key] = self.unit_drive(focal_points.at(points[i, j]), loudness).amplitudes
+                    unit = stored[key] = self.unit_drive(focal_points.at(points[i, j]), loudness).amplitudes
                 drives[i, taken] = unit[taken]
         return drives
 
@@ -396,7 +396,7 @@ def in_mm(point: Sequence[float] | Float) -> str:
     return "(" + ", ".join(f"{1e3 * float(x):.1f}" for x in point) + ") mm"
 
 
-def told_below(value: float, limit: float) -> str:
+def shown_below(value: float, limit: float) -> str:
     """Return a number below a limit with three digits, or as many as distinguish the two, as text."""
-    told = (f"{value:.{digits}g}" for digits in range(3, 18))
-    return next((text for text in told if float(text) < limit), f"{value!r}")
+    texts = (f"{value:.{digits}g}" for digits in range(3, 18))
+    return next((text for text in texts if float(text) < limit), f"{value!r}")

@@ -57,7 +57,7 @@ class Autd3Units:
         whole = len(data) // size * size
         self._rest = data[whole:]
         for begin in range(0, whole, size):
-            self._told(self._client.send, self.pattern(data[begin : begin + size]))
+            self._called(self._client.send, self.pattern(data[begin : begin + size]))
         return True
 
     def pattern(self, frame: bytes) -> Any:
@@ -117,14 +117,14 @@ class Autd3Units:
         interface = autd3.Interface
         return autd3.UdpOption(iface=interface.Addr(way) if ":" in way else interface.Name(way))
 
-    def _told(self, call: Callable[..., Any], *arguments: object) -> None:
+    def _called(self, call: Callable[..., Any], *arguments: object) -> None:
         try:
             self._run(call, *arguments)
         except self._package.autd3.Autd3Error as error:
             raise PortLost(f"connection to {self.name} lost: {error}") from error
 
     def _run(self, call: Callable[..., Any], *arguments: object) -> Any:
-        # The client's calls need a running event loop
+        # Calls of the client need a running event loop
         async def answer() -> Any:
             return await call(*arguments)
 

@@ -252,7 +252,7 @@ class Board:
         amplitudes: complex amplitude of each transducer relative to full drive, e^{-iwt}, shape (n,)
         Raises DeviceError for another shape and for amplitudes that the board cannot play.
         """
-        raise DeviceError(f"board '{self.name}' takes {self._takes()}, not amplitudes; use another board")
+        raise DeviceError(f"board '{self.name}' takes {self._input()}, not amplitudes; use another board")
 
     def encode_focus(self, focus: ArrayLike, level: float) -> bytes:
         """Return the bytes of one frame of a board that takes a focus.
@@ -260,11 +260,11 @@ class Board:
         focus: in the array frame [m], shape (3,); level: amplitude of all transducers, 0..1
         Raises DeviceError for a focus or level that the board cannot play.
         """
-        raise DeviceError(f"board '{self.name}' takes {self._takes()}, not a focus; allowed: amplitudes")
+        raise DeviceError(f"board '{self.name}' takes {self._input()}, not a focus; allowed: amplitudes")
 
     def twin(self) -> Twin:
         """Return a board just switched on, transducers in byte order. Raises DeviceError for a board without bytes."""
-        raise DeviceError(f"board '{self.name}' takes {self._takes()}, so it has no virtual twin; use another board")
+        raise DeviceError(f"board '{self.name}' takes {self._input()}, so it has no virtual twin; use another board")
 
     def wired_twin(self) -> Twin:
         """Return a `twin` whose transducers are in the layout's order, for any wiring."""
@@ -276,7 +276,7 @@ class Board:
         changes = twin.take(data)
         return list(map(attrgetter("amplitudes"), (*changes, *twin.until(twin.time_s + HELD_BACK_S))))
 
-    def _takes(self) -> str:
+    def _input(self) -> str:
         return "no bytes" if self.exact else "a focus" if self.takes == "focus" else "amplitudes"
 
 
@@ -292,7 +292,7 @@ def play(board: Board, amplitudes: ArrayLike) -> Complex:
     return board.decode(board.encode(amplitudes))[-1]
 
 
-# -- what codecs share -----------------------------------------------------------------------------------------------
+# -- common parts of codecs ------------------------------------------------------------------------------------------
 
 FULL = 1.0 + 1e-6
 """Largest amplitude that counts as full drive."""
@@ -350,7 +350,7 @@ REFERENCE_SPEED_m_s = sound_speed(Air())
 """Speed of sound in the project's reference air, used by boards that compute the focus themselves."""
 
 
-# -- what a board can't play -----------------------------------------------------------------------------------------
+# -- limits of boards ------------------------------------------------------------------------------------------------
 
 
 def slow(board: Board, rate_Hz: float) -> bool:
@@ -383,16 +383,16 @@ def check(
     too_fast = slow(board, rate)
     if not needs_amplitude and not too_fast:
         return
-    wanted = ["continuous amplitude"] if needs_amplitude else []
-    wanted += [f"{rate:.4g} frames/s"] if rate else []
-    needs = f"stimulus '{element}' needs {' at '.join(wanted)}"
+    required = ["continuous amplitude"] if needs_amplitude else []
+    required += [f"{rate:.4g} frames/s"] if rate else []
+    needs = f"stimulus '{element}' needs {' at '.join(required)}"
     if modulation_Hz and rate == 2.0 * modulation_Hz:
-        needs += f" ({modulation_Hz:g} Hz, two frames a period)"
+        needs += f" ({modulation_Hz:g} Hz, two frames per period)"
     gives = f"{board.name} gives {'any' if board.levels else 'on/off'} amplitude"
     gives += f" at {board.frame_rate} frames/s"
     if points_per_turn is not None and too_fast:
-        needs += f" ({points_per_turn:.4g} points a turn)"
-        gives += f", {points_per_turn * board.max_frame_rate_Hz / rate:.2g} points a turn"
+        needs += f" ({points_per_turn:.4g} points per turn)"
+        gives += f", {points_per_turn * board.max_frame_rate_Hz / rate:.2g} points per turn"
     able = instead()
     mends = [f"board {', '.join(able[:-1]) + ' or ' * (len(able) > 1)}{able[-1]}"] if able else []
     if needs_amplitude:

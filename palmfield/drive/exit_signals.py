@@ -28,9 +28,9 @@ def handling(handlers: Mapping[str, Handler]) -> Iterator[None]:
     if not in_main_thread():
         yield
         return
-    known = {getattr(signal, name): new for name, new in handlers.items() if hasattr(signal, name)}
-    heeded = {number: new for number, new in known.items() if signal.getsignal(number) is not signal.SIG_IGN}
-    before = {number: signal.signal(number, new) for number, new in heeded.items()}
+    available = {getattr(signal, name): new for name, new in handlers.items() if hasattr(signal, name)}
+    handled = {number: new for number, new in available.items() if signal.getsignal(number) is not signal.SIG_IGN}
+    before = {number: signal.signal(number, new) for number, new in handled.items()}
     try:
         yield
     finally:

@@ -20,7 +20,7 @@ def loudest_point(pressure: Callable[[Float], Complex], middle: Float, focus: Fl
     line = middle + ALONG[:, None] * (focus - middle)
     start = line[int(np.abs(pressure(line)).argmax())]
     scale = float(np.abs(pressure(start[None]))[0])
-    found = scipy.optimize.minimize(
+    result = scipy.optimize.minimize(
         lambda point: -float(np.abs(pressure(point[None]))[0]) / scale,
         start,
         method="Nelder-Mead",
@@ -30,4 +30,4 @@ def loudest_point(pressure: Callable[[Float], Complex], middle: Float, focus: Fl
             "initial_simplex": start + 2e-3 * np.vstack([np.zeros(3), np.eye(3)]),
         },
     )
-    return np.asarray(found.x)
+    return np.asarray(result.x)

@@ -38,8 +38,8 @@ def fitted_focus(
         if best is not None and best[1] < 1.0:
             break
         begin = _coarse(positions, np.where(on, amplitudes, 0.0), wavenumber) if start is None else start
-        found = _refined(places, phases, wavenumber, begin)
-        best = found if best is None or found[1] < best[1] else best
+        fit = _refined(places, phases, wavenumber, begin)
+        best = fit if best is None or fit[1] < best[1] else best
     assert best is not None
     return best
 

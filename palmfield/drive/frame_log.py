@@ -118,9 +118,9 @@ class FrameLog:
         self.path = Path(path)
         with writing(self.path):
             self._file = self.path.open("w", encoding="utf-8", buffering=1)
-        told = {key: value for key, value in asdict(head).items() if value is not None}
-        told["layout_version"] = LAYOUTS[head.array].version if head.array in LAYOUTS else 1
-        self._write(json.dumps({"palmfield_log": VERSION, **told}) + "\n")
+        header = {key: value for key, value in asdict(head).items() if value is not None}
+        header["layout_version"] = LAYOUTS[head.array].version if head.array in LAYOUTS else 1
+        self._write(json.dumps({"palmfield_log": VERSION, **header}) + "\n")
 
     def add(self, time_s: float, data: bytes, *, whole: bool = True) -> None:
         """Raises OutputError if writing fails."""

@@ -84,7 +84,7 @@ def _duty(stretches: Sequence[tuple[float, float]], duration_s: float) -> float:
     if not stretches or window <= 0.0:
         return 0.0
     most, first, whole = 0.0, 0, 0.0
-    # The largest cover begins at the beginning of a stretch or ends at the end of one; the latter is found backwards
+    # The window with most sound begins with a sounding interval or ends with one; the latter is found backwards
     for last, (_, end) in enumerate(stretches):
         whole += stretches[last][1] - stretches[last][0]
         while stretches[first][1] <= end - window:

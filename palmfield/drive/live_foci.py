@@ -38,35 +38,35 @@ def read_focus(line: bytes, offset: Float) -> LiveFocus:
     offset: focus_m for a position without one [m], shape (3,)
     Raises BadLine for anything else.
     """
-    told = read_object(line)
-    stray = sorted(set(told) - set(KEYS))
+    fields = read_object(line)
+    stray = sorted(set(fields) - set(KEYS))
     if stray:
         raise BadLine("keys", f"field '{stray[0][:40]}' is unknown; allowed: {', '.join(KEYS)}")
-    level = _numbers(told, "level", 1)[0] if "level" in told else 1.0
+    level = _numbers(fields, "level", 1)[0] if "level" in fields else 1.0
     if not 0.0 <= level <= 1.0:
         raise BadLine("level", f"level has value {level:g}; allowed: 0 to 1")
-    place = _numbers(told, "focus_m", 3) if "focus_m" in told else offset
-    if "position_m" in told:
-        turn = _numbers(told, "quaternion", 4) if "quaternion" in told else np.array([1.0, 0.0, 0.0, 0.0])
+    place = _numbers(fields, "focus_m", 3) if "focus_m" in fields else offset
+    if "position_m" in fields:
+        turn = _numbers(fields, "quaternion", 4) if "quaternion" in fields else np.array([1.0, 0.0, 0.0, 0.0])
         length = math.hypot(*turn)
         if not abs(length - 1.0) <= UNIT:
             raise BadLine("numbers", f"quaternion has length {length:g}; allowed: 1, w first")
-        place = matrices(turn[None] / length)[0] @ place + _numbers(told, "position_m", 3)
-    elif "quaternion" in told:
+        place = matrices(turn[None] / length)[0] @ place + _numbers(fields, "position_m", 3)
+    elif "quaternion" in fields:
         raise BadLine("keys", "a quaternion is given without position_m; allowed: both, or position_m alone")
-    elif "focus_m" not in told:
+    elif "focus_m" not in fields:
         raise BadLine("keys", "neither focus_m nor position_m is given; allowed: one of them, or both")
     return LiveFocus(place, level)
 
 
-def _numbers(told: dict[str, Any], key: str, count: int) -> Float:
-    value = told[key] if count > 1 else [told[key]]
+def _numbers(fields: dict[str, Any], key: str, count: int) -> Float:
+    value = fields[key] if count > 1 else [fields[key]]
     good = isinstance(value, list) and len(value) == count
     if not good or not all(isinstance(one, float) for one in value):
-        raise BadLine("numbers", f"{key} has value {json.dumps(told[key])[:60]}; allowed: {count} finite numbers")
+        raise BadLine("numbers", f"{key} has value {json.dumps(fields[key])[:60]}; allowed: {count} finite numbers")
     numbers = np.array(value, float)
     if not np.isfinite(numbers).all():
-        raise BadLine("numbers", f"{key} has value {json.dumps(told[key])[:60]}; allowed: {count} finite numbers")
+        raise BadLine("numbers", f"{key} has value {json.dumps(fields[key])[:60]}; allowed: {count} finite numbers")
     return numbers
 
 

@@ -26,7 +26,7 @@ class PathMemory(NamedTuple):
     """Input and output arrays of the kernels for a step of w worlds on a device.
 
     counts: foci and groups, int32, shape (w, 2); group: of each transducer, int32, shape (w, n)
-    foci: [m], vec3d, shape (w, f); wanted: target levels, float64, shape (w, f + 1)
+    foci: [m], vec3d, shape (w, f); targets: target levels, float64, shape (w, f + 1)
     aims: targets at the focus, vec2d, shape (w,), see `PathDrives.aim`
     ring: weights of the pole for each moment, vec2d, shape (m, 5); pushes: its row of `force`, -1 for none, int32,
         shape (m,); begun, end: emission, vec2d, shape (w, n)
@@ -37,7 +37,7 @@ class PathMemory(NamedTuple):
     counts: Any
     group: Any
     foci: Any
-    wanted: Any
+    targets: Any
     aims: Any
     ring: Any
     pushes: Any
@@ -55,7 +55,7 @@ class PathMemory(NamedTuple):
             "path_counts": ((worlds, 2), wp.int32),
             "path_group": ((worlds, transducers), wp.int32),
             "path_foci": ((worlds, foci), wp.vec3d),
-            "path_wanted": ((worlds, foci + 1), wp.float64),
+            "path_targets": ((worlds, foci + 1), wp.float64),
             "path_aims": ((worlds,), wp.vec2d),
             "path_ring": ((moments, 5), wp.vec2d),
             "path_pushes": ((moments,), wp.int32),
@@ -98,7 +98,7 @@ class PathDrives:
         order = np.argsort(transducers.order)
         self._order = whole_numbers(order, device)
         self._scales = _pairs(transducers.scale[order], device)
-        self._known: dict[tuple[object, ...], Complex] = {}
+        self._stored: dict[tuple[object, ...], Complex] = {}
         self.move(drive)
 
     def move(self, drive: ArrayDrive) -> None:
@@ -127,7 +127,7 @@ class PathDrives:
             memory.begun,
         ]
         inputs += [memory.load, memory.force, memory.now, memory.end]
-        levelling = [counts, memory.aims, sums, memory.wanted, levels, memory.totals]
+        levelling = [counts, memory.aims, sums, memory.targets, levels, memory.totals]
         return [
             launch(kernels.focus_waves, whole, [focusing, counts, memory.foci, waves, strengths], device),
             launch(kernels.focus_sums, parts, [counts, waves, strengths, sums], device),
@@ -145,17 +145,17 @@ class PathDrives:
         if pole is None:
             return np.zeros((1, 5), np.complex128)
         key = moments.linear, moments.held_s, moments.step_s
-        known = self._known.get(key)
-        if known is None:
+        stored = self._stored.get(key)
+        if stored is None:
             rows = []
             for linear, held_s in zip(moments.linear, moments.held_s, strict=True):
                 along = pole.weights(moments.step_s) if linear else (1.0, 0.0, 0.0)
                 decay, first, last = pole.weights(0.5 * held_s) if held_s > 0.0 else (1.0, 0.0, 0.0)
                 rows.append([*along, decay, first + last])
-            if len(self._known) >= KEPT:
-                self._known.clear()
-            known = self._known[key] = np.array(rows, np.complex128)
-        return known
+            if len(self._stored) >= KEPT:
+                self._stored.clear()
+            stored = self._stored[key] = np.array(rows, np.complex128)
+        return stored
 
 
 def foci_made(totals: Float, levels: Float, quiet: Any, target: Any) -> NDArray[np.bool_]:

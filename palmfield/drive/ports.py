@@ -32,7 +32,7 @@ def open_port(port: str, baud: int | None) -> Transport:
     """
     if not port.startswith(AUTD3):
         return open_serial(port, baud)
-    # NumPy and AUTD3's client are loaded for its units only
+    # NumPy and the client of AUTD3 are loaded only for AUTD3 units
     from palmfield.drive.autd3_units import open_units
 
     return open_units(port, port.removeprefix(AUTD3))

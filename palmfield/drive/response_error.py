@@ -103,7 +103,7 @@ def response_errors(
     step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
     lag = max(1, round(delay / step))
     delays = (times_s - weights @ times_s) / step
-    # Early sound needs samples from after the window
+    # Sound that arrives early needs samples from after the window
     reach = math.ceil(np.abs(delays).max()) + 2
     inside = slice(SETTLED * lag, -reach)
     errors = []
@@ -149,7 +149,7 @@ def changes_of_motion(
         levels = np.sqrt(frames_at(stimulus, np.asarray(begin + (cells + 0.5) * step))[1])
         late = np.convolve(np.pad(levels, (spread - 1, 0), mode="edge"), np.full(spread, 1.0 / spread), mode="valid")
         rung = np.abs(_rung(levels.astype(complex), rate * step)) ** 2
-        # Each against an equally delayed one: a pure delay changes only the part of the motion in a window
+        # Each is compared with an equally delayed one, since a pure delay only shifts the motion
         pairs = (rung, np.abs(_later(levels, lag)) ** 2), (late**2, np.abs(_later(levels, max(1, spread // 2))) ** 2)
         sizes = [[float(np.abs(_oscillation(load, w * step))[before:].max()) for load in pair] for pair in pairs]
         if all(own > 0.0 for _, own in sizes):
@@ -170,7 +170,7 @@ def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -
         same = z == one
         emitted = _rung(levels.astype(complex), one)
         ring_up += weights[same].sum() * np.abs(emitted - _later(levels, lag)) ** 2
-        # Shares of the pressure by flight time, each on the three nearest samples: a parabola through them
+        # Shares of the pressure by flight time, distributed over the three nearest samples by a parabola
         whole = np.round(delays[same]).astype(int)
         rest = delays[same] - whole
         kernel = np.zeros(2 * reach + 1)

@@ -46,7 +46,7 @@ class PoleStepper:
         rates, self._index = np.unique(pole.rate, return_inverse=True)
         self._rates: Any = rates if rates.imag.any() else rates.real
         self.alike = len(rates) == 1
-        self._known: dict[int, Weights] = {}
+        self._stored: dict[int, Weights] = {}
 
     def weights(self, time_s: float) -> Weights:
         """Return weights of the emission before, and of the drive at the beginning and the end, over `time_s` [s].
@@ -54,16 +54,16 @@ class PoleStepper:
         Numbers if all transducers are alike, else arrays of shape (N,).
         """
         grains = round(time_s / GRAIN_S)
-        known = self._known.get(grains)
-        if known is None:
+        weights = self._stored.get(grains)
+        if weights is None:
             decay, held, slope = pole_weights(self._rates * (grains * GRAIN_S))
             parts = decay, held - slope, slope
             before, first, last = map(itemgetter(0 if self.alike else self._index), parts)
-            known = (before.item(), first.item(), last.item()) if self.alike else (before, first, last)
-            if len(self._known) >= KEPT:
-                self._known.clear()
-            self._known[grains] = known
-        return known
+            weights = (before.item(), first.item(), last.item()) if self.alike else (before, first, last)
+            if len(self._stored) >= KEPT:
+                self._stored.clear()
+            self._stored[grains] = weights
+        return weights
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def _commanded(
     if not np.logical_or.reduce(audible, axis=None):
         return np.zeros((len(points), drive.count), np.complex128)
     drives = drive.unit_drives(points, focal_points, group, audible)
-    # Boards with unrounded levels skip this call, which every step would make
+    # Boards with unrounded levels do not need this call in every step
     if drive.rounds_levels and not len(focal_points.offsets) and (drive.arp_peak_Pa is None or len(points) == 1):
         full = drive.amplitude if drive.arp_peak_Pa is None else drive.unit_drive_at(focal_points, points[0, 0]).level
         levels = drive.played_levels(levels, full)
@@ -189,11 +189,11 @@ NO_LAG: Float = np.zeros(1)
 
 def delays_now(stimulus: StimulusConfig, drive: ArrayDrive, focal_points: FocalPoints) -> tuple[Float, Int | None]:
     """`_delay_groups` with the present places of the arrays and the stimulus's points; the last result is cached."""
-    known = drive.delays
-    if known is None or known[0] is not focal_points:
+    cached = drive.delays
+    if cached is None or cached[0] is not focal_points:
         delays_s = flight_delays(drive, focal_points.at(first_point(stimulus)))
-        drive.delays = known = focal_points, _delay_groups(delays_s)
-    return known[1]
+        drive.delays = cached = focal_points, _delay_groups(delays_s)
+    return cached[1]
 
 
 def _delay_groups(delays_s: Float | None) -> tuple[Float, Int | None]:
@@ -403,7 +403,7 @@ def emitted_now(
         level = _level_of(unit, emitted)
         if level is not None:
             return of_unit(unit, np.array([level]), emitted)
-    # A copy, since the emission may be written to one array repeatedly, and fields are cached by their drive
+    # A copy, because the emission may be written to one array repeatedly, and fields are cached by their drive
     return of_drives(emitted[None].copy(), emitted)
 
 

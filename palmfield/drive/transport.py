@@ -81,7 +81,7 @@ class SerialTransport:
             self._fd: int | None = stream.fileno()
         except (AttributeError, io.UnsupportedOperation):
             self._fd = None
-        self._offered, self._taken, self._first_taken, self._heard = 0, 0, -1, b""
+        self._offered, self._taken, self._first_taken, self._received = 0, 0, -1, b""
 
     def write(self, data: bytes) -> bool:
         """False after a write timeout: part of the bytes may be on the line, so never send the rest of them."""
@@ -155,12 +155,12 @@ class SerialTransport:
         data = os.read(self._fd, 65536)
         if not data and self._is_socket:
             raise OSError(errno.EPIPE, os.strerror(errno.EPIPE))
-        self._heard = (self._heard + data)[-4 * TAKEN_BYTES :]
-        at = self._heard.rfind(TAKEN_MARK)
-        if at > len(self._heard) - TAKEN_BYTES:
-            at = self._heard.rfind(TAKEN_MARK, 0, at)
+        self._received = (self._received + data)[-4 * TAKEN_BYTES :]
+        at = self._received.rfind(TAKEN_MARK)
+        if at > len(self._received) - TAKEN_BYTES:
+            at = self._received.rfind(TAKEN_MARK, 0, at)
         if at >= 0:
-            number = self._heard[at + len(TAKEN_MARK) : at + TAKEN_BYTES]
+            number = self._received[at + len(TAKEN_MARK) : at + TAKEN_BYTES]
             self._taken = int.from_bytes(number, "little")
             if self._first_taken < 0 and self._offered == 0:
                 self._first_taken = self._taken
@@ -172,7 +172,7 @@ class SerialTransport:
             raise PortLost(f"connection to {self.name} lost: {reason(error)}") from error
 
     def close(self) -> None:
-        if self._is_socket and self._heard:
+        if self._is_socket and self._received:
             self._end_socket()
         self._stream.close()
 

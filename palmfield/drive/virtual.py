@@ -157,7 +157,7 @@ class VirtualBoard:
     def __exit__(self, *exception: object) -> None:
         self.unplug()
 
-    # -- its end of the line -----------------------------------------------------------------------------------------
+    # -- end of the line at the board --------------------------------------------------------------------------------
 
     def _open_pty(self) -> None:
         try:
@@ -223,12 +223,12 @@ class VirtualBoard:
 
     def _read(self) -> None:
         before = self.clock
-        told, told_s = -1, 0.0
+        reported, reported_s = -1, 0.0
         while not self._ended.is_set():
             time.sleep(TICK_S)
             now = self.clock
-            # Bytes found now came after the last check: an idle line accumulates no time, and a full one loses none of
-            # the byte then in transit
+            # Received bytes came after the last check, so an idle line accumulates no time, and a full line keeps the
+            # time of the byte in transit
             begin = max(self._free_s, before - self.line.time_s(1), now - BURST_S)
             before = now
             allowed = (now - begin) * self.line.bytes_per_s
@@ -239,8 +239,8 @@ class VirtualBoard:
                     self._free_s = begin + self.line.time_s(len(data))
             if self._decodes:
                 self.emitted += self.twin.until(now)
-            if self._tells and now - told_s >= (TELLS_S if self._taken != told else 10.0 * TELLS_S):
-                told, told_s = self._taken, now
+            if self._tells and now - reported_s >= (TELLS_S if self._taken != reported else 10.0 * TELLS_S):
+                reported, reported_s = self._taken, now
                 self._tell()
 
     def _tell(self) -> None:

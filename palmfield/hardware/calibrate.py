@@ -35,7 +35,7 @@ def add_readings(kind: str, readings: Path, board: Path, layout: str | None, cir
         calibration = Calibration(layout=layout)
     result = measured(kind, readings, calibration, known_layout(calibration.layout), circumstances)
     write_calibration(board, result.calibration)
-    return list(result.told)
+    return list(result.report)
 
 
 def imported(file: Path, board: Path) -> list[str]:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.acoustics.focus import focus
-from palmfield.drive.array_drive import KEPT, ArrayDrive, in_mm, told_below
+from palmfield.drive.array_drive import KEPT, ArrayDrive, in_mm, shown_below
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.foci import solve_foci, transfer64
 from palmfield.errors import SceneError
@@ -109,7 +109,7 @@ def test_few_places_are_solved_once_each(source, monkeypatch):
     first = [drive.unit_drive(point) for point in points]
     assert all(drive.unit_drive(point) is unit for point, unit in zip(points, first, strict=True))
     drive.unit_drive(np.array([0.0, 0.0, 0.3]))
-    assert len(drive._known) <= KEPT
+    assert len(drive._stored) <= KEPT
 
 
 @pytest.mark.parametrize("many", [False, True], ids=["one", "many"])
@@ -161,5 +161,5 @@ def test_places_in_words():
         (12.0 - 2e-15, 12.0, "11.999999999999998"),
     ],
 )
-def test_a_number_below_a_limit_is_told_below_it(value, limit, told):
-    assert told_below(value, limit) == told
+def test_a_number_below_a_limit_is_shown_below_it(value, limit, told):
+    assert shown_below(value, limit) == told

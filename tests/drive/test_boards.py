@@ -365,7 +365,7 @@ def test_modulation_is_refused_with_both_sides_said():
     with pytest.raises(DeviceError) as refusal:
         check(BOARD, frame_rate_Hz=0.0, modulated=True, element="am", modulation_Hz=200.0)
     message = str(refusal.value)
-    assert "stimulus 'am' needs continuous amplitude at 400 frames/s (200 Hz, two frames a period)" in message
+    assert "stimulus 'am' needs continuous amplitude at 400 frames/s (200 Hz, two frames per period)" in message
     assert "sonicsurface gives on/off amplitude at 89.3 frames/s" in message
     assert "44.7 Hz" in message
     assert "board ideal" in message
@@ -376,7 +376,7 @@ def test_a_fast_circle_is_refused_with_the_points_that_are_left():
     with pytest.raises(DeviceError) as refusal:
         check(BOARD, frame_rate_Hz=3500.0, points_per_turn=50, modulated=False, element="circle")
     # 89.3 frames/s over 70 turns/s
-    assert "1.3 points a turn" in str(refusal.value)
+    assert "1.3 points per turn" in str(refusal.value)
     assert "continuous" not in str(refusal.value)
 
 

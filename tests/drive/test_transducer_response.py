@@ -273,7 +273,7 @@ def test_weights_are_kept_and_do_not_grow(source):
     assert stepper.weights(1e-4) is stepper.weights(1e-4 + 1e-19)
     for k in range(1000):
         stepper.weights(1e-4 + 1e-9 * k)
-    assert len(stepper._known) <= 64
+    assert len(stepper._stored) <= 64
 
 
 def test_two_stimuli_with_arrays_of_their_own_add_up(mixed):

@@ -116,7 +116,7 @@ def test_rates_fall_on_steps_of_mujoco():
 
 
 def test_a_circle_too_fast_for_the_board_is_refused_with_the_points_that_are_left():
-    with pytest.raises(palmfield.DeviceError, match=r"\(3 points a turn\).*0\.\d+ points a turn|points a turn"):
+    with pytest.raises(palmfield.DeviceError, match=r"\(3 points per turn\).*0\.\d+ points per turn|points per turn"):
         preview(SCENES / "phantom_stm70.xml", board="sonicsurface", keys={"stimulus.arp_peak_Pa": None})
 
 

@@ -235,7 +235,7 @@ def test_a_board_that_switches_plays_a_full_rectangle(small_scene):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"am_depth": 0.5}, "needs continuous amplitude at 40 frames/s (20 Hz, two frames a period)"),
+        ({"am_depth": 0.5}, "needs continuous amplitude at 40 frames/s (20 Hz, two frames per period)"),
         ({"am_waveform_duty": 0.1}, "needs 200 frames/s; sonicsurface gives on/off amplitude at 89.3 frames/s"),
         ({"am_frequency_Hz": 60}, "needs 120 frames/s; sonicsurface"),
         (

@@ -176,7 +176,7 @@ def test_transducers_ring_along_a_path_as_in_numpy(keys):
     hosts = block.hosts
     hosts["path_counts"][0] = foci, len(lags)
     hosts["path_group"][0], hosts["path_foci"][0], hosts["path_aims"][0] = group, points, path.aim
-    hosts["path_wanted"][0] = [*np.sqrt(factors[:-1]), 1.0, np.sqrt(factors[-1])]
+    hosts["path_targets"][0] = [*np.sqrt(factors[:-1]), 1.0, np.sqrt(factors[-1])]
     hosts["path_ring"].view(np.complex128)[..., 0] = path.ring(moments)
     hosts["path_begun"].view(np.complex128)[0, :, 0] = begun
     hosts["path_pushes"][:] = push_rows(weights)

@@ -77,7 +77,7 @@ def board_of(
     on = calibrated or not board.exact if driver.compensate is None else driver.compensate == "on"
     places = () if address is None else tuple(np.asarray(address).tolist())
     if len(places) != transducers or places == tuple(range(transducers)):
-        # Either none or all of several arrays have addresses
+        # All or none of several arrays have addresses
         places = ()
     if places and board.takes == "focus":
         raise DeviceError(

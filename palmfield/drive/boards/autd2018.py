@@ -147,7 +147,7 @@ class Autd2018(Board):
         duty = width / HASEGAWA_TICKS
         late = np.repeat(self.unit_delays(since_sync_s), TRANSDUCERS)
         phase = 2.0 * np.pi * (ticks / HASEGAWA_TICKS + CARRIER_HZ * late)
-        # A held edge changes the phase with the duty; the reference phase is that of half a period's pulse
+        # With a fixed edge the phase changes with the duty; the reference is the phase at a duty of 1/2
         phase = phase + edge_phase(duty, self.pwm_edge) - edge_phase(0.5, self.pwm_edge)
         return relative_pressure(duty, self.duty_exponent) * np.exp(1j * phase)
 

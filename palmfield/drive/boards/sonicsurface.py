@@ -140,10 +140,10 @@ class SonicSurfaceTwin(BufferedTwin):
             # The pulse of step s is high for half a turn from s on
             turn = np.mod(self.time_s * CARRIER_HZ * STEPS - self._front - self.lag, STEPS)
             self.pins_high = (self._front != OFF) & (turn < STEPS / 2)
-            held = int(self.pins_high.sum())
+            high = int(self.pins_high.sum())
             self.flag(
                 "dc",
-                f"the shift clocks have stopped: {held} of {EMITTERS} pins stay high, which puts DC on these "
+                f"the shift clocks have stopped: {high} of {EMITTERS} pins stay high, which puts DC on these "
                 "transducers",
             )
         return was != runs

@@ -34,7 +34,7 @@ FRAME_BYTES = 2 * (EMITTERS + 2) + 1
 def _downward() -> np.ndarray:
     """For each address of the downward board its row in layout `sonicsurface`, in its site's frame."""
     by_site = sonicsurface_order().reshape(16, 16)  # rows along +y, columns along +x
-    # An address at (x, y) on the upward board is at (y, -x) on the downward one
+    # An address at (x, y) on the upward board is at (y, -x) on the downward board
     turned = by_site[:, ::-1].T
     rows = np.empty(EMITTERS, dtype=np.int64)
     rows[by_site.ravel()] = turned.ravel()

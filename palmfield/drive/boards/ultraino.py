@@ -76,7 +76,7 @@ class Ultraino(Board):
     def sized(self, transducers: int) -> "Ultraino":
         sized = super().sized(transducers)
         off = sized.silence
-        # An incomplete frame misplaces the next one's data; two whole ones then fill both buffers
+        # After an incomplete frame the data of the next frame are misplaced; two complete frames then fill both buffers
         return replace(sized, start=3 * off, stop=3 * off, max_frame_rate_Hz=1.0 / LINE.time_s(len(off)))
 
     def rounded(self, levels: Float) -> Float:

@@ -96,37 +96,37 @@ def fit_elements(
         raise PalmfieldError(
             f"place_sd_m = {place_sd_m:g} and temperature_sd_K = {temperature_sd_K:g}: give standard deviations above 0"
         )
-    known = ~np.isnan(y)
-    if np.isinf(y).any() or not known.any(axis=0).all():
-        n = int(np.argmax(np.isinf(y).any(axis=0) | ~known.any(axis=0)))
+    present = ~np.isnan(y)
+    if np.isinf(y).any() or not present.any(axis=0).all():
+        n = int(np.argmax(np.isinf(y).any(axis=0) | ~present.any(axis=0)))
         raise PalmfieldError(f"transducer {n} has no finite reading: give at least one; 0 means silence")
     model = _Model(array, air, places, place_sd_m, temperature_sd_K)
     if not model.in_front():
         raise PalmfieldError("a position of the microphone is not in front of all transducers: give z > 0 [m]")
-    y = np.where(known, y, 0.0)
-    found = _solved(model, y, known)
-    odd = _odd(model, found, y, known)
+    y = np.where(present, y, 0.0)
+    solution = _solved(model, y, present)
+    odd = _odd(model, solution, y, present)
     if odd.mean() > 0.5:
         raise PalmfieldError(
             f"the readings of {odd.sum()} of {len(odd)} transducers do not fit sound from their positions: check "
             "the layout, the order of its transducers and the microphone positions (array frame, m)"
         )
     if not odd.any():
-        return _result(model, found)
+        return _result(model, solution)
     for _ in range(5):
-        found = _solved(model, np.where(odd, 0.0, y), known)
-        more = odd | _odd(model, found, y, known)
+        solution = _solved(model, np.where(odd, 0.0, y), present)
+        more = odd | _odd(model, solution, y, present)
         if (more == odd).all():
             break
         odd = more
-    place, fits = _matched(model, found, y, known, np.flatnonzero(odd))
+    place, fits = _matched(model, solution, y, present, np.flatnonzero(odd))
     signal = np.argsort(place)
     model.turn = model.turn[signal]
-    known = known[:, signal]
-    found = _solved(model, np.where(fits, y, 0.0)[:, signal], known)
+    present = present[:, signal]
+    solution = _solved(model, np.where(fits, y, 0.0)[:, signal], present)
     own = np.arange(len(array)) if array.address is None else array.address
     swapped = tuple(np.flatnonzero((signal != np.arange(len(array))) & fits[signal]).tolist())
-    result = _result(model, found)
+    result = _result(model, solution)
     elements = result.elements.model_copy(update={"address": tuple(own[signal].tolist()) if swapped else None})
     return replace(result, elements=elements, swapped=swapped, unfit=tuple(np.flatnonzero(~fits).tolist()))
 
@@ -143,7 +143,7 @@ class _Model:
         self.absorption = absorption_Np_m(air, array.frequency_Hz)
         self.quintic = directivity_coefficients(array, self.turns / self.speed)[0]
         self.shape = len(places), len(array)
-        # Position within a sweep over all transducers at one place, in their order, from its beginning to its end
+        # Relative position within a sweep over all transducers at one microphone position, in their order
         self.turn = np.arange(len(array)) / max(len(array) - 1, 1) - 0.5
         self.extra = 4 * len(places) + 4
 
@@ -202,9 +202,9 @@ def _unexplained(pressure: Complex, y: Complex) -> Float:
     return np.asarray(1.0 - np.abs(y.conj().T @ pressure) ** 2 / np.maximum(size, 1e-300))
 
 
-def _odd(model: _Model, found: _Found, y: Complex, known: np.ndarray) -> np.ndarray:
+def _odd(model: _Model, solution: _Found, y: Complex, present: np.ndarray) -> np.ndarray:
     """Return which columns are loud and do not fit their places, shape (n,)."""
-    pressure = model.pressures(found.unknown)[0] * known
+    pressure = model.pressures(solution.unknown)[0] * present
     left = np.array([_unexplained(pressure[:, [n]], y[:, [n]])[0, 0] for n in range(y.shape[1])])
     loud = np.sqrt((np.abs(y) ** 2).sum(axis=0) / np.maximum((np.abs(pressure) ** 2).sum(axis=0), 1e-300))
     usual = np.median(left[loud > 0.0])
@@ -212,53 +212,53 @@ def _odd(model: _Model, found: _Found, y: Complex, known: np.ndarray) -> np.ndar
 
 
 def _matched(
-    model: _Model, found: _Found, y: Complex, known: np.ndarray, odd: np.ndarray
+    model: _Model, solution: _Found, y: Complex, present: np.ndarray, odd: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return places of the signals of all columns, a permutation, and which columns fit their place, shapes (n,).
 
     odd: columns to be placed elsewhere: at each other's places, or at those of silent transducers
     """
     place, fits = np.arange(y.shape[1]), np.ones(y.shape[1], bool)
-    pressure = model.pressures(found.unknown)[0]
-    free = np.union1d(odd, np.flatnonzero(~_alive(found.factor)))
-    left = np.array([_unexplained((pressure * known[:, [n]])[:, free], y[:, [n]])[0] for n in odd])
+    pressure = model.pressures(solution.unknown)[0]
+    free = np.union1d(odd, np.flatnonzero(~_alive(solution.factor)))
+    left = np.array([_unexplained((pressure * present[:, [n]])[:, free], y[:, [n]])[0] for n in odd])
     row, column = linear_sum_assignment(left)
     best = left[row, column]
-    # Probability that one of as many places fits noise of m readings as well as that
-    chance = len(free) * best ** (known[:, odd].sum(axis=0) - 1)
+    # Probability that one of the free positions fits noise of m readings equally well
+    chance = len(free) * best ** (present[:, odd].sum(axis=0) - 1)
     good = (best < ODD) & (chance < CHANCE)
     fits[odd] = good
     taken = free[column[good]]
     place[odd[good]] = taken
-    # A column without a place keeps its own if that is free
+    # A column without a match keeps its own position if that is free
     idle, vacant = np.setdiff1d(free, odd[good]), np.setdiff1d(free, taken)
     moved = np.setdiff1d(idle, vacant)
     place[moved] = np.setdiff1d(vacant, idle)
     return place, fits
 
 
-def _solved(model: _Model, y: Complex, known: np.ndarray) -> _Found:
+def _solved(model: _Model, y: Complex, present: np.ndarray) -> _Found:
     count = y.shape[1]
     unknown = np.zeros(model.extra)
     pressure, slopes = model.pressures(unknown)
-    pressure = pressure * known
+    pressure = pressure * present
     factor = _best_factors(pressure, y)
-    # Twice the angle is the same for both polarities
+    # Twice the angle is equal for both polarities
     common = 0.5 * float(np.angle((factor**2).sum()))
-    freedom = max(2 * int(known.sum()) - 2 * count - model.extra, 1)
-    loudness = math.sqrt(float((np.abs(y) ** 2).sum()) / int(known.sum()))
+    freedom = max(2 * int(present.sum()) - 2 * count - model.extra, 1)
+    loudness = math.sqrt(float((np.abs(y) ** 2).sum()) / int(present.sum()))
     if loudness == 0.0:
         raise PalmfieldError("all readings are 0: check that the array emits and that the microphone records")
     sigma = 0.1 * loudness
     for _ in range(STEPS):
-        normal, right = _normal_equations(model, y, known, pressure, slopes, factor, unknown, common, sigma)
+        normal, right = _normal_equations(model, y, present, pressure, slopes, factor, unknown, common, sigma)
         step = np.linalg.solve(normal, right)
         before = _cost(y - pressure * factor, factor, unknown, common, sigma)
         share = 1.0
         while True:
             further, late = unknown + share * step[2 * count : -1], common + share * float(step[-1])
             pressure, slopes = model.pressures(further)
-            pressure = pressure * known
+            pressure = pressure * present
             moved = _best_factors(pressure, y)
             if share < LEAST_SHARE or _cost(y - pressure * moved, moved, further, late, sigma) < before + SAME:
                 break
@@ -273,11 +273,11 @@ def _solved(model: _Model, y: Complex, known: np.ndarray) -> _Found:
             f"the fit of the transducers does not converge in {STEPS} steps: check the layout, the order of its "
             "transducers, the microphone positions (array frame, m), and that a delay is a positive phase"
         )
-    normal, right = _normal_equations(model, y, known, pressure, slopes, factor, unknown, common, sigma)
+    normal, right = _normal_equations(model, y, present, pressure, slopes, factor, unknown, common, sigma)
     step = np.linalg.solve(normal, right)
     factor = factor + step[:count] + 1j * step[count : 2 * count]
     covariance = np.asarray(np.linalg.inv(normal), float)
-    return _Found(factor, unknown, common, covariance, math.sqrt(left / int(known.sum())) / loudness)
+    return _Found(factor, unknown, common, covariance, math.sqrt(left / int(present.sum())) / loudness)
 
 
 def _best_factors(pressure: Complex, y: Complex) -> Complex:
@@ -297,7 +297,7 @@ def _alive(factor: Complex) -> np.ndarray:
 def _normal_equations(
     model: _Model,
     y: Complex,
-    known: np.ndarray,
+    present: np.ndarray,
     pressure: Complex,
     slopes: list[tuple[slice, Complex]],
     factor: Complex,
@@ -310,7 +310,7 @@ def _normal_equations(
     size = 2 * count + model.extra + 1
     normal, right = np.zeros((size, size)), np.zeros(size)
     sound = pressure * factor / sigma
-    left = (y - pressure * factor) * known / sigma
+    left = (y - pressure * factor) * present / sigma
     unit = pressure / sigma
     power = (np.abs(unit) ** 2).sum(axis=0)
     real, imaginary = np.arange(count), np.arange(count, 2 * count)
@@ -348,8 +348,8 @@ def _add_prior_of_delays(normal: Float, right: Float, factor: Complex, common: f
             np.add.at(normal, (at[i], at[j]), by[i] * by[j])
 
 
-def _result(model: _Model, found: _Found) -> ElementFit:
-    factor, unknown, common, covariance = found.factor, found.unknown, found.common, found.covariance
+def _result(model: _Model, solution: _Found) -> ElementFit:
+    factor, unknown, common, covariance = solution.factor, solution.unknown, solution.common, solution.covariance
     count, alive = len(factor), _alive(factor)
     size = np.abs(factor)
     p0 = float(size[alive].mean())
@@ -357,7 +357,7 @@ def _result(model: _Model, found: _Found) -> ElementFit:
     polarity = np.where(np.abs(angle) < 0.5 * math.pi, 1, -1)
     phase = np.angle(polarity * np.exp(1j * angle))
     late = float(phase[alive].mean())
-    # Only differences of phases are determined: a common phase belongs to the recorder's trigger
+    # Only phase differences are determined; a common phase is that of the trigger of the recorder
     square = np.maximum(size**2, 1e-300)
     both = np.hstack([np.diag(-factor.imag / square), np.diag(factor.real / square)])
     louder = np.hstack([np.diag(factor.real / np.sqrt(square)), np.diag(factor.imag / np.sqrt(square))])
@@ -385,5 +385,5 @@ def _result(model: _Model, found: _Found) -> ElementFit:
         moves,
         speed,
         float(np.sqrt(covariance[-4, -4])) * model.speed_sd,
-        found.misfit,
+        solution.misfit,
     )

@@ -36,15 +36,15 @@ def fit_pose(
     Raises PalmfieldError for fewer than 8 readings, invalid shapes, readings below 0 or not finite, and for a loudest
     reading farther than WITHIN_M from its focus.
     """
-    told, where = check.points(np.asarray(foci_m, float), np.float64), check.points(np.asarray(at, float), np.float64)
+    aims, where = check.points(np.asarray(foci_m, float), np.float64), check.points(np.asarray(at, float), np.float64)
     seen = np.asarray(pressures_Pa, float)
-    if not (len(told) == len(where) == len(seen)) or len(seen) < 8:
+    if not (len(aims) == len(where) == len(seen)) or len(seen) < 8:
         raise PalmfieldError(
-            f"{len(told)} foci, {len(where)} positions and {len(seen)} readings; needed: at least 8 of each"
+            f"{len(aims)} foci, {len(where)} positions and {len(seen)} readings; needed: at least 8 of each"
         )
     if not np.all(np.isfinite(seen) & (seen >= 0.0)) or seen.max() == 0.0:
         raise PalmfieldError("pressures_Pa has values that are negative or not finite, or only zeros: give amplitudes")
-    foci, which = np.unique(told, axis=0, return_inverse=True)
+    foci, which = np.unique(aims, axis=0, return_inverse=True)
     drives = [compensate(array, focus(array, air, point)) for point in foci]
     start = np.zeros(3)
     for number, point in enumerate(foci):
@@ -52,7 +52,7 @@ def fit_pose(
         gap = where[own[np.argmax(seen[own])]] - point
         if np.linalg.norm(gap[:2]) > WITHIN_M:
             raise PalmfieldError(
-                f"the loudest reading of the focus at {point.tolist()} m lies "
+                f"the loudest reading of the focus at {point.tolist()} m is "
                 f"{1e3 * float(np.linalg.norm(gap[:2])):.0f} mm from it: check that both are in the array frame, "
                 "in metres"
             )
@@ -70,21 +70,21 @@ def fit_pose(
         return np.asarray((seen - scale * model) / (0.03 * seen.max()))
 
     begin = np.concatenate([start / OFFSET_SD_M, np.zeros(3 if turning else 0)])
-    # The unknowns themselves are the residuals of their priors
-    found = least_squares(lambda unknown: np.concatenate([left(unknown), unknown]), begin, x_scale=0.1)
-    if not found.success:
+    # The unknowns are in units of their prior standard deviations, so they are also the residuals of the priors
+    fit = least_squares(lambda unknown: np.concatenate([left(unknown), unknown]), begin, x_scale=0.1)
+    if not fit.success:
         raise PalmfieldError(
-            f"the fit of the board position does not converge ({found.message}): scan closer to the foci"
+            f"the fit of the board position does not converge ({fit.message}): scan closer to the foci"
         )
-    rest = left(found.x)
-    noise = math.sqrt(float(rest @ rest) / max(len(rest) - len(found.x) - 1, 1))
-    errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac))) * max(noise, 1e-9)
+    rest = left(fit.x)
+    noise = math.sqrt(float(rest @ rest) / max(len(rest) - len(fit.x) - 1, 1))
+    errors = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))) * max(noise, 1e-9)
     # The distance of a focus changes by the relative error of the speed of sound
     warmth = sound_speed_sd(air, temperature_sd_K) / sound_speed(air) * np.abs(foci).mean(axis=0)
-    turns = found.x[3:] * TURN_SD_RAD if turning else np.zeros(3)
+    turns = fit.x[3:] * TURN_SD_RAD if turning else np.zeros(3)
     turn_errors = errors[3:] * TURN_SD_RAD if turning else np.zeros(3)
     return Pose(
-        offset_m=tuple((found.x[:3] * OFFSET_SD_M).tolist()),
+        offset_m=tuple((fit.x[:3] * OFFSET_SD_M).tolist()),
         offset_sd_m=tuple(np.hypot(errors[:3] * OFFSET_SD_M, warmth).tolist()),
         turn_rad=tuple(turns.tolist()),
         turn_sd_rad=tuple(turn_errors.tolist()),

@@ -60,14 +60,14 @@ def fit_sweep(
         )
     if not np.isfinite(seen).all() or not np.all((f >= LIMITS_HZ[0]) & (f <= LIMITS_HZ[1])):
         raise PalmfieldError(f"readings are not finite, or frequencies outside {LIMITS_HZ[0]:g} to {LIMITS_HZ[1]:g} Hz")
-    told = np.asarray(drive, np.complex128)
-    sound = np.column_stack([pressure64(where, replace(array, frequency_Hz=float(x)), told, air)[0] for x in f])
+    emitted = np.asarray(drive, np.complex128)
+    sound = np.column_stack([pressure64(where, replace(array, frequency_Hz=float(x)), emitted, air)[0] for x in f])
     start = float(f[np.argmax(np.abs(seen).mean(axis=0))])
     each = np.array([_pole(sound[m : m + 1], f, seen[m : m + 1], start)[:2] for m in range(len(where))])
     resonance, quality, misfit = _pole(sound, f, seen, start)
     if not f.min() < resonance < f.max():
         raise PalmfieldError(
-            f"the fitted resonance of {resonance:.0f} Hz lies outside the sweep ({f.min():.0f} to {f.max():.0f} "
+            f"the fitted resonance of {resonance:.0f} Hz is outside the sweep ({f.min():.0f} to {f.max():.0f} "
             "Hz): sweep to both sides of the resonance"
         )
     errors = np.std(each, axis=0, ddof=1) / math.sqrt(len(where))
@@ -91,11 +91,11 @@ def _pole(sound: Complex, f: Float, seen: Complex, start: float) -> tuple[float,
 
     # Q from 5 to 200: the range of real transducers
     low, high = [-50.0, math.log(5.0)], [50.0, math.log(200.0)]
-    found = least_squares(
+    solution = least_squares(
         left, [0.0, math.log(25.0)] + [0.0] * places, bounds=(low + [-np.inf] * places, high + [np.inf] * places)
     )
-    misfit = float(np.sqrt((np.abs(rest(found.x)) ** 2).sum() / (np.abs(seen) ** 2).sum()))
-    return start + 100.0 * float(found.x[0]), math.exp(float(found.x[1])), misfit
+    misfit = float(np.sqrt((np.abs(rest(solution.x)) ** 2).sum() / (np.abs(seen) ** 2).sum()))
+    return start + 100.0 * float(solution.x[0]), math.exp(float(solution.x[1])), misfit
 
 
 def response_at(frequencies_Hz: Float, resonance_Hz: float, quality: float) -> Complex:

@@ -37,7 +37,7 @@ def fit_level(levels: ArrayLike, pressures_Pa: ArrayLike) -> Level:
         chosen = a <= steps[last - 1]
         slope, error, offset = _line(np.log(a[chosen]), np.log(p[chosen]))
         gone = 1.0 - p / np.exp(offset + slope * np.log(a))
-        # Readings scatter: the means at each level are judged, not single ones
+        # The mean at each level is tested, because single readings scatter
         missing = np.array([gone[a == step].mean() for step in steps])
         if np.all(missing[:last] <= MISSING) and np.all(missing[last:] > MISSING):
             return Level(exponent=slope, exponent_sd=error, linear_to=float(steps[last - 1]))

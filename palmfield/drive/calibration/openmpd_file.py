@@ -47,7 +47,7 @@ def read_board_file(path: str | Path) -> Calibration:
     if (amplitudes != 1.0).any():
         raise SceneError(f"{file}: line 7: amplitude {amplitudes[amplitudes != 1.0][0]:g}; allowed: 1")
     turns = np.exp(1j * np.radians(degrees))
-    # Twice the angle is the same for both polarities
+    # Twice the angle is equal for both polarities
     common = np.exp(0.5j * np.angle((turns**2).sum()))
     polarity = np.where((turns / common).real < 0.0, -1, 1)
     moved = np.abs(positions - array.positions).max() > SAME_M

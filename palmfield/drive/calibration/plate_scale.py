@@ -89,21 +89,21 @@ def fit_plate(
         raise PalmfieldError(
             "all readings have the same time: give their times [s], which the drift of the scale needs"
         )
-    found, _, rank, _ = np.linalg.lstsq(matrix / scale, force, rcond=None)
+    fit, _, rank, _ = np.linalg.lstsq(matrix / scale, force, rcond=None)
     if rank < matrix.shape[1]:
         raise PalmfieldError("the distances cannot separate p0 from fringes: spread them evenly over half a wavelength")
-    variance = float(np.sum((force - (matrix / scale) @ found) ** 2)) / (len(force) - matrix.shape[1])
+    variance = float(np.sum((force - (matrix / scale) @ fit) ** 2)) / (len(force) - matrix.shape[1])
     covariance = np.linalg.inv((matrix / scale).T @ (matrix / scale)) * variance
-    found, errors = found / scale, np.sqrt(np.diag(covariance)) / scale
-    if found[0] <= 0.0:
+    fit, errors = fit / scale, np.sqrt(np.diag(covariance)) / scale
+    if fit[0] <= 0.0:
         raise PalmfieldError(
-            f"the array pulls the plate by {-found[0] * unit.mean():.3g} N: check the sign of forces_N (a push is +)"
+            f"the array pulls the plate by {-fit[0] * unit.mean():.3g} N: check the sign of forces_N (a push is +)"
         )
-    p0 = math.sqrt(found[0])
+    p0 = math.sqrt(fit[0])
     error = 0.5 * errors[0] / p0
     spread = math.hypot(1.96 * error / p0, 0.5 * LAW)
     return PlateFit(
-        p0, error, p0 / (1.0 + spread), p0 * (1.0 + spread), math.hypot(found[1], found[2]) / found[0], float(found[3])
+        p0, error, p0 / (1.0 + spread), p0 * (1.0 + spread), math.hypot(fit[1], fit[2]) / fit[0], float(fit[3])
     )
 
 

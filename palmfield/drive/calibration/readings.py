@@ -46,10 +46,10 @@ class Circumstances:
 
 @dataclass(frozen=True)
 class Measured:
-    """calibration: with the results of the readings; told: the results, a line each"""
+    """calibration: with the results of the readings; report: the results, one line each"""
 
     calibration: Calibration
-    told: tuple[str, ...]
+    report: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def put_elements(
         )
     turned = elements.polarity.count(-1)
     alive = np.array(elements.enabled)
-    told = (
+    report = (
         f"transducers: {len(array) - len(dead)} of {len(array)} emit, {turned} with reversed polarity"
         + (f"; off: {_few(dead)}" if dead else ""),
         *strange,
@@ -119,7 +119,7 @@ def put_elements(
         f"of sound {fit.sound_speed_m_s:.1f} +- {1.96 * fit.sound_speed_sd_m_s:.1f} m/s; residual "
         f"{100 * fit.misfit:.1f} % (echoes, noise, directivity)",
     )
-    return Measured(calibration.model_copy(update={"elements": elements, "p0": p0}), told)
+    return Measured(calibration.model_copy(update={"elements": elements, "p0": p0}), report)
 
 
 def put_level(
@@ -132,11 +132,11 @@ def put_level(
     seen = columns[has[0]]
     level = fit_level(columns["level"], np.sqrt(np.maximum(seen, 0.0)) if has[0] == "force_N" else seen)
     end = "to full drive" if level.linear_to == 1.0 else f"to level {level.linear_to:g}, and saturates above it"
-    told = (
+    report = (
         f"pressure is proportional to the level to the power {level.exponent:.3f} +- "
         f"{1.96 * level.exponent_sd:.3f} {end}"
     )
-    return Measured(calibration.model_copy(update={"level": level}), (told,))
+    return Measured(calibration.model_copy(update={"level": level}), (report,))
 
 
 def put_plate(
@@ -151,7 +151,7 @@ def put_plate(
         columns["on"], columns["force_N"], under.level,
     )  # fmt: skip
     p0 = Estimate(fit.p0_Pa_m, fit.low_Pa_m, fit.high_Pa_m, "measured", under.source)
-    told: tuple[str, ...] = (
+    report: tuple[str, ...] = (
         f"p0 {p0.value:.3g} Pa m ({p0.low:.3g} to {p0.high:.3g}; scatter of the readings "
         f"{100 * fit.p0_sd_Pa_m / fit.p0_Pa_m:.2g} %)",
         f"fringes: {100 * fit.fringe:.0f} % of the force, by sound between plate and array; drift of the scale: "
@@ -159,11 +159,11 @@ def put_plate(
     )
     if calibration.p0 is not None and not calibration.p0.low <= p0.value <= calibration.p0.high:
         before = calibration.p0
-        told += (
-            f"this value lies outside the earlier measurement: {before.value:.3g} ({before.low:.3g} to "
+        report += (
+            f"this value is outside the earlier measurement: {before.value:.3g} ({before.low:.3g} to "
             f"{before.high:.3g})",
         )
-    return Measured(calibration.model_copy(update={"p0": p0}), told)
+    return Measured(calibration.model_copy(update={"p0": p0}), report)
 
 
 def put_focus(
@@ -171,16 +171,16 @@ def put_focus(
 ) -> Measured:
     """Pressures about foci: see `fit_pose`."""
     if any(name in columns for name in FOCUS_XYZ):
-        told = np.column_stack([_taken(file, columns, name) for name in FOCUS_XYZ])
+        commanded = np.column_stack([_taken(file, columns, name) for name in FOCUS_XYZ])
     elif under.focus_m is None:
         raise SceneError(
             f"{file}: the focus is missing; give columns {', '.join(FOCUS_XYZ)}, or one focus (--focus X Y Z)"
         )
     else:
-        told = np.tile(under.focus_m, (len(columns["x_m"]), 1))
+        commanded = np.tile(under.focus_m, (len(columns["x_m"]), 1))
     pose = fit_pose(
         calibrated(array, calibration.model_copy(update={"pose": type(calibration.pose)()})),
-        under.air, told, _places(columns), columns["pressure_Pa"], under.temperature_sd_K,
+        under.air, commanded, _places(columns), columns["pressure_Pa"], under.temperature_sd_K,
     )  # fmt: skip
     offset = ", ".join(
         f"{1e3 * x:.2f} +- {1.96e3 * sd:.2f}" for x, sd in zip(pose.offset_m, pose.offset_sd_m, strict=True)
@@ -212,11 +212,11 @@ def put_sweep(
     fit = fit_sweep(known, under.air, _drive(known, under), at, f, seen)
     quality = _estimate(fit.quality, 1.96 * fit.quality_sd / fit.quality, under.source)
     resonance = _estimate(fit.resonance_Hz, 1.96 * fit.resonance_sd_Hz / fit.resonance_Hz, under.source)
-    told = (
+    report = (
         f"resonance {resonance.value:.0f} Hz ({resonance.low:.0f} to {resonance.high:.0f}), Q {quality.value:.1f} "
         f"({quality.low:.1f} to {quality.high:.1f}), of all transducers together; residual {100 * fit.misfit:.1f} %",
     )
-    return Measured(calibration.model_copy(update={"quality": quality, "resonance_Hz": resonance}), told)
+    return Measured(calibration.model_copy(update={"quality": quality, "resonance_Hz": resonance}), report)
 
 
 def put_warm_up(
@@ -225,11 +225,11 @@ def put_warm_up(
     """The level since the array was switched on: see `fit_warm_up`."""
     warm_up = fit_warm_up(columns["time_s"], columns["pressure_Pa"])
     within = warm_up.time_s * max(math.log(abs(warm_up.drop) / 0.01), 0.0)
-    told = (
+    report = (
         f"the level starts {100 * warm_up.drop:+.1f} % (+- {196 * warm_up.drop_sd:.1f}) from its final value, and "
         f"is within 1 % after {within:.0f} s"
     )
-    return Measured(calibration.model_copy(update={"warm_up": warm_up}), (told,))
+    return Measured(calibration.model_copy(update={"warm_up": warm_up}), (report,))
 
 
 MEASUREMENTS: dict[str, Measurement] = {

@@ -73,7 +73,7 @@ def _strange_board(array: Array, random: np.random.Generator) -> Calibration:
 def _readings(array: Array, truth: Calibration, random: np.random.Generator) -> dict[str, dict[str, Float]]:
     elements = truth.elements
     assert elements is not None
-    told, real = Air(), Air(temperature_C=20.0 + float(random.normal()))
+    assumed, real = Air(), Air(temperature_C=20.0 + float(random.normal()))
     moved = calibrated(array, truth)
     size = np.where(elements.enabled, elements.gain, 0.0) * np.array(elements.polarity)
     raw: Complex = size * np.exp(1j * np.array(elements.phase_rad))
@@ -81,18 +81,18 @@ def _readings(array: Array, truth: Calibration, random: np.random.Generator) -> 
     at = np.column_stack([random.uniform(-wide, wide, (PLACES, 2)), random.uniform(1.5 * wide, 3.0 * wide, PLACES)])
     each = _one_by_one(array, raw, at + random.normal(0.0, 1e-3, at.shape), real, random)
     number, place = np.tile(np.arange(len(array)), PLACES), np.repeat(np.arange(PLACES), len(array))
-    # The driver has the wiring by now, from the measurement one by one
-    aimed = compensate(moved, focus(array, told, FOCUS_M))
+    # The wiring is known to the driver at this stage, from the measurement of single transducers
+    aimed = compensate(moved, focus(array, assumed, FOCUS_M))
     scan = np.array(FOCUS_M) + random.uniform(-1.0, 1.0, (60, 3)) * [0.012, 0.012, 0.04]
-    found = np.abs(pressure64(scan, moved, aimed, real)[0])
+    amplitudes = np.abs(pressure64(scan, moved, aimed, real)[0])
     levels = np.repeat(np.linspace(0.1, 1.0, 10), 3)
     time = np.arange(0.0, 1800.0, 60.0)
     counted = {"element": number.astype(float), "layout_version": np.full(len(number), LAYOUTS[array.name].version)}
     return {
         "elements": counted | _places(at[place]) | _polar(each.ravel()),
         "level": {"level": levels, "pressure_Pa": 900.0 * levels * random.normal(1.0, NOISE, len(levels))},
-        "plate": _on_scale(moved, aimed, told, random),
-        "focus": _places(scan) | {"pressure_Pa": found * random.normal(1.0, NOISE, len(scan))},
+        "plate": _on_scale(moved, aimed, assumed, random),
+        "focus": _places(scan) | {"pressure_Pa": amplitudes * random.normal(1.0, NOISE, len(scan))},
         "sweep": _swept(moved, aimed, real, random),
         "warm_up": {
             "time_s": time,

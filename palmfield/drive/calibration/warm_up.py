@@ -25,14 +25,14 @@ def fit_warm_up(times_s: ArrayLike, pressures_Pa: ArrayLike) -> WarmUp:
         return np.asarray(last * (1.0 + drop * np.exp(-time * np.exp(rate))))
 
     try:
-        found, covariance = curve_fit(
+        values, covariance = curve_fit(
             course, t, p, [end, p[np.argmin(t)] / end - 1.0, np.log(3.0 / span)], maxfev=10_000
         )
     except RuntimeError:
         raise PalmfieldError(
             "the readings do not fit an exponential approach to a constant level: record until the level is constant"
         ) from None
-    time_s = float(np.exp(-found[2]))
+    time_s = float(np.exp(-values[2]))
     if not (np.isfinite(covariance).all() and time_s < span):
         raise PalmfieldError(f"the level still changes after {span:g} s, or does not change at all: record for longer")
-    return WarmUp(drop=float(found[1]), drop_sd=float(np.sqrt(covariance[1, 1])), time_s=time_s)
+    return WarmUp(drop=float(values[1]), drop_sd=float(np.sqrt(covariance[1, 1])), time_s=time_s)

@@ -37,7 +37,7 @@ class BoardEnd:
 
     frames: written whole; cut: partly taken by the system; late_s: of each frame, delay of its last byte on the line
     [s]; write_late_s: delay of its writing [s]
-    told: of each numbered frame that number, its due time, and its place in late_s
+    numbered: number, due time and index in late_s of each numbered frame
     """
 
     def __init__(self, job: Job) -> None:
@@ -47,10 +47,10 @@ class BoardEnd:
         self.line = LineClock(1.0 / job.bytes_per_s)
         self.frames = self.cut = 0
         self.late_s, self.write_late_s = array("d"), array("d")
-        self.told: list[tuple[int, float, int]] = []
+        self.numbered: list[tuple[int, float, int]] = []
         self._on_its_way: deque[_OnItsWay] = deque()
         self._refused_s: float | None = None
-        self.sounding = True  # boards may sound from power-up on
+        self.sounding = True  # a board may emit sound from power-up on
         self._log = os.open(job.log, os.O_WRONLY | os.O_APPEND) if job.log else -1
         self._unwritten: deque[str] = deque()
         self._port: Transport | None = self._open()
@@ -82,7 +82,7 @@ class BoardEnd:
         out = self.line.hear(port.waiting(), now, self._refused_s is not None)
         while self._on_its_way and self._on_its_way[0].end <= out:
             frame = self._on_its_way.popleft()
-            # The own clock is finer, unless the line was blocked
+            # The clock of this process is finer, unless the line was blocked
             self.late_s[frame.number] = max(self.late_s[frame.number], now - TOLD_LATE_S - frame.due_s)
 
     def hand(self, data: bytes, due_s: float, planned_s: float, number: int = -1) -> bool:
@@ -100,13 +100,13 @@ class BoardEnd:
             self.write_late_s.append(now_s() - planned_s)
             self.late_s.append(self.line.free_s(began) - due_s)
             if number >= 0 and self.job.tells_frames:
-                self.told.append((number, due_s, len(self.late_s) - 1))
+                self.numbered.append((number, due_s, len(self.late_s) - 1))
         self._on_its_way.append(_OnItsWay(self.line.handed, due_s, len(self.late_s) - 1))
         return True
 
     def on_line(self) -> list[tuple[int, float]]:
         """Return each numbered frame's number and when its last byte was on the line, on `now_s` [s]."""
-        return [(number, due_s + self.late_s[row]) for number, due_s, row in self.told]
+        return [(number, due_s + self.late_s[row]) for number, due_s, row in self.numbered]
 
     def _offer(self, data: bytes, now: float) -> bool:
         self.sounding = True

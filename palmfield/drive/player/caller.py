@@ -46,7 +46,7 @@ def signals_to(alarm: socket.socket, silent_within_s: float) -> Iterator[None]:
         time.sleep(silent_within_s)
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
-        # Continues here, after SIGCONT
+        # The process continues here after SIGCONT
         signal.signal(number, stop)
         with contextlib.suppress(OSError):
             alarm.send(bytes([signal.SIGCONT]))
@@ -106,10 +106,10 @@ class Player:
         self._alarm, alarm = socket.socketpair()
         for end in (self._talk, self._alarm):
             end.setblocking(False)
-        # A packet is sent at once, and a long schedule in few pieces
+        # A packet is sent immediately, and a long schedule in few pieces
         self._talk.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
         paths = [PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
-        # A session of its own: the terminal's signals reach only the caller, which interprets them
+        # In a separate session, so that signals of the terminal reach only the caller, which handles them
         self._process = subprocess.Popen(
             [sys.executable, "-m", "palmfield.drive.player.process", str(talk.fileno()), str(alarm.fileno())],
             pass_fds=(talk.fileno(), alarm.fileno()), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
@@ -183,7 +183,7 @@ class Player:
         """Raises DeviceError if the board is lost or the player has died since its last message."""
         self._take_lines()
 
-    # -- what the player says ------------------------------------------------------------------------------------------
+    # -- messages of the player ----------------------------------------------------------------------------------------
 
     def _send(self, kind: bytes, data: bytes = b"") -> None:
         view = memoryview(packed(kind, data))

@@ -42,9 +42,9 @@ class LineClock:
         if out > self._out or not (waiting or refused):
             self._moved_s = now_s
         self._out = max(self._out, out)
-        # Bytes that a line with another rate than ours, or a blocked one, has not taken yet
+        # Bytes not yet sent by a line with another rate than ours, or by a blocked line
         self._free_s = max(self._free_s, now_s + waiting * self.byte_s - TOLD_LATE_S)
-        # A small constant count is not an old reading: it would never be made up for
+        # A small constant count of waiting bytes is subtracted, because it never decreases
         self._least_s = min(self._least_s, now_s + waiting * self.byte_s - self._free_s)
         if self._since_s == -math.inf:
             self._since_s = now_s

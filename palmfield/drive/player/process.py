@@ -151,7 +151,7 @@ class Session:
     def __init__(self, board: BoardEnd, caller: Caller, priority: str) -> None:
         self.board, self.caller, self.priority = board, caller, priority
         self.source: Source | None = None
-        self._told_s = 0.0
+        self._reported_s = 0.0
         self._frames_before = 0
         self._said = ""
         self._first_sound_s: float | None = None
@@ -169,7 +169,7 @@ class Session:
                 self._pause()
                 continue
             if self.source is None:
-                self.board.free_s(now_s())  # raises if the port is lost
+                self.board.free_s(now_s())  # raises an error if the port is lost
                 self.caller.wait(now_s() + LOOK_S)
                 continue
             self._step(self.source)
@@ -247,9 +247,9 @@ class Session:
             self.source.shift(now_s() - began)
 
     def _tell_progress(self, source: Source, now: float) -> None:
-        if now - self._told_s < PROGRESS_S:
+        if now - self._reported_s < PROGRESS_S:
             return
-        self._told_s = now
+        self._reported_s = now
         if isinstance(source, LiveSource) and source.said != self._said:
             self._said = source.said
             if self._said:
@@ -282,7 +282,7 @@ def silence(board: BoardEnd, caller: Caller, lost: str) -> str:
 
     lost: why the port was lost, or ""
     """
-    began, told, signals = now_s(), False, caller.signals
+    began, reported, signals = now_s(), False, caller.signals
     gone_since: float | None = None
     while True:
         if board.exists() and board.try_stop():
@@ -298,15 +298,15 @@ def silence(board: BoardEnd, caller: Caller, lost: str) -> str:
                 return f"the port has accepted no bytes for {patience:g} s"
         else:
             gone_since = gone_since or now
-            # A URL has no file that could come back: it is reopened
+            # A URL has no file to wait for, so it is reopened
             if board.is_url and board.try_stop():
                 return ""
             if board.job.port.startswith("/dev/pts/"):
                 return "the port has disappeared"
             if now - gone_since > board.job.replug_s:
                 return f"the port has disappeared and did not return within {board.job.replug_s:g} s"
-        if not told:
-            told = True
+        if not reported:
+            reported = True
             caller.tell(lost=lost or "the port accepts no bytes", trying=True)
         caller.wait(now + LOOK_S)
 
@@ -341,7 +341,7 @@ def main() -> int:
         if not isinstance(error, PortStuck):
             board.close_port()
     except PalmfieldError as error:
-        # Units that are opened by the first bytes, and are missing
+        # Missing units that are opened by the first bytes
         board.close()
         caller.tell(failed=str(error))
         return 1

@@ -69,7 +69,7 @@ class ScheduleSource:
             number, begins, takes = number + 1, begins_next, takes_next
             self.skipped += 1
         self._next = number
-        # While the line is busy a frame waits in the system's buffer, so that the line has no pause
+        # While the line is busy, a frame waits in the buffer of the system, so that the line has no pause
         at = begins if free_s < begins - CLOSE_S else free_s - takes
         return NextFrame(at, begins + takes, frames[number], number)
 
@@ -158,7 +158,7 @@ class LiveSource:
         if not self._waiting:
             return math.inf
         begins = self._begins_s(0)
-        # One frame waits in the system's buffer while another is on the line, as in a schedule
+        # One frame waits in the buffer of the system while another is on the line, as in a schedule
         at = begins if free_s < begins - CLOSE_S else free_s - self._line_s(0)
         if at > now_s:
             return at
@@ -191,7 +191,7 @@ class LiveSource:
         due = frame.due_s if timed else (frame.made_s if self._unsent else now_s) + len(data) * self.byte_s
         at = now_s if timed else max(now_s, free_s - LIVE_AHEAD_S)
         if data == self._sent[0] and not self._unsent:
-            # During a ramp and until the frame is old the next check is soon
+            # During a ramp, and until the frame is too old, the next check is soon
             soon = now_s + min(0.01, max(1e-4, self.ramp_s / max(1, len(frame.steps))))
             at = max(at, self._sent[1] + self.refresh_s)
             if at > soon:
@@ -203,7 +203,7 @@ class LiveSource:
         """Share of the newest frame's level now, which rises and falls within the ramp's time."""
         sounds = self._gain > 0.0 and frame.level > 0.0
         within = self.budget.allows(now_s, sounds)
-        # A frame for a later moment becomes old after that
+        # The age of a frame for a later moment counts from that moment
         old = now_s - max(frame.made_s, frame.due_s) > self.stale_s
         self.said = "" if within else self.budget.said
         if old and not self.said:
@@ -214,7 +214,7 @@ class LiveSource:
         if self.ramp_s <= 0.0 or len(frame.steps) == 1:
             self._gain = target
         elif target > self._gain:
-            # The first step sounds at once
+            # The first step is played immediately
             self._gain = min(target, max(self._gain, 1.0 / len(frame.steps)) + passed / self.ramp_s * (not self.silent))
         else:
             self._gain = max(target, self._gain - passed / self.ramp_s)
