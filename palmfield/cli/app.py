@@ -178,7 +178,7 @@ def main() -> None:
 
 
 def start() -> None:
-    """Entry point: run `main` with garbage collection delayed until after the start."""
+    """Run `main` with garbage collection delayed until after the start."""
     gc.callbacks.append(_before_garbage)
     gc.set_threshold(OBJECTS_AT_START)
     main()

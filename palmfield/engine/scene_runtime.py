@@ -349,7 +349,7 @@ class SceneRuntime:
         return place
 
     def check_sensors(self) -> None:
-        """Refuse, before the run, sensors without a valid place on their skin; errors as `place`."""
+        """Raise, before the run, SceneError for sensors without a valid place on their skin; errors as `place`."""
         for skin, bound in enumerate(self.binding.skins):
             for sensor in self.view.sensors(bound.instance):
                 check_site(self.model.skins[skin], *self._site(skin, sensor))

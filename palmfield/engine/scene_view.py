@@ -126,7 +126,7 @@ class SceneView:
     def _arp(
         self, posed: PosedScene, skin: int, points: Float, normals: Float, units: list[tuple[Complex, float]]
     ) -> Float | None:
-        """Mean ARP [Pa] at points of a skin, array frame, shapes (n, 3); None as `skin`."""
+        """Return the mean ARP [Pa] at points of a skin, array frame, shapes (n, 3); None as `skin`."""
         if not units:
             return None
         kind = self.model.skins[skin].spec.config.body_sound

@@ -52,7 +52,7 @@ def _struct(declaration: Any, name: str) -> type[ctypes.Structure]:
 
 @cache
 def mirror(name: str) -> Any:
-    """ctypes.Structure with the layout of MuJoCo's struct `name`, e.g. `mjModel`."""
+    """Return the ctypes.Structure with the layout of MuJoCo's struct `name`, e.g. `mjModel`."""
     return _struct(STRUCTS[name], name)
 
 

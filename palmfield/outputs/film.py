@@ -204,7 +204,7 @@ class _Frame:
             levels.append(np.clip((shown - low) / (high - low), 0.0, 1.0))
             if name in look.around:
                 faces = surfaces[name]["face"].values
-                # Shaded with normals of the true surface: the edge of the lowered part would darken the body beside
+                # Shaded with normals of the true surface: the edge of the lowered part would darken the body next to it
                 normals = smooth_normals(in_world(surfaces[name], groups.get(name), time_s), faces)[faces.ravel()]
                 corners = in_world(look.around[name], groups.get(name), time_s)[faces.ravel()]
                 triangles = np.arange(len(corners)).reshape(-1, 3)

@@ -311,7 +311,7 @@ def _groups(file: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 
 def _shrinks(values: NDArray[np.float32]) -> bool:
-    """Whether compression, as of COMPRESSION, is worthwhile, by the last values."""
+    """Return whether compression, as of COMPRESSION, is worthwhile, by the last values."""
     shuffled = values.ravel()[-SAMPLE:].view(np.uint8).reshape(-1, 4).T.tobytes()
     return len(zlib.compress(shuffled, 1)) < WORTHWHILE * len(shuffled)
 

@@ -86,7 +86,7 @@ class Backend(ABC):
 
     @property
     def watched(self) -> bool:
-        """Whether every substep is observed. Graphs do not return single substeps."""
+        """Return whether every substep is observed. Graphs do not return single substeps."""
         return self.observer is not None or any(map(is_not, self.works[0].observe, repeat(None)))
 
     @abstractmethod
@@ -149,7 +149,7 @@ class Backend(ABC):
 
 
 def serves(model: HapticModel) -> bool:
-    """Whether graphs compute the sound of a model: on a GPU, without echo, boundary elements and 'accurate' fields."""
+    """Return whether graphs compute the sound: on a GPU, without echo, boundary elements and 'accurate' fields."""
     fast = model.arrays.precision == "fast" and model.arrays.wall_m is None
     solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
     return resolve(model.spec.device) != "cpu" and fast and not solved

@@ -377,13 +377,13 @@ def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
 
 
 def _begins(step: _Coming, posed: PosedScene, emitted: Complex, t0: float) -> bool:
-    """Whether a step begins with this pose and emission."""
+    """Return whether a step begins with this pose and emission."""
     here = step.pose == posed.serial and abs(step.t0 - t0) < TICK_S
     return here and not np.logical_or.reduce(step.begun != emitted)
 
 
 def looks_ahead(model: HapticModel) -> bool:
-    """Whether coming drives differ, and one matrix product computes the loads of many of them."""
+    """Return whether coming drives differ, and one matrix product computes the loads of many of them."""
     changing = any(part.config.path != "point" or part.response.delayed for part in model.stimuli)
     free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
     alike = len(model.arrays.groups) == 1 and model.arrays.wall_m is None
@@ -391,7 +391,7 @@ def looks_ahead(model: HapticModel) -> bool:
 
 
 def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
-    """Whether the only sound is one moving focus of equal transducers."""
+    """Return whether the only sound is one moving focus of equal transducers."""
     if len(model.stimuli) != 1:
         return False
     stimulus, drive = model.stimuli[0], drives[0]

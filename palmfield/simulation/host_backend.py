@@ -376,7 +376,7 @@ class HostBackend(Backend):
                 served[world] = self._poses[world]
 
     def _leaves(self, world: int, skin: int, t0: float) -> bool:
-        """Whether the reduced model of a skin has become invalid."""
+        """Return whether the reduced model of a skin has become invalid."""
         work, state = self.works[world], self._states[world]
         return leaves_small_model(
             self.models[world], state, skin, self._posed[world], work.reference, work.emission, t0

@@ -381,7 +381,7 @@ def _outside(work: GraphWork, skin: int) -> Outside:
 
 
 def may_join(model: HapticModel) -> bool:
-    """Whether sound and skins of a world can be computed here. Conditions: equal transducers at rest, one focus that
+    """Return whether sound and skins of a world can be computed here. Needs: equal transducers at rest, one focus that
     moves and changes level without jumps, surfaces without shadows, and skins that move by modes."""
     if len(model.stimuli) != 1 or PoseLayout(model).movable or model.substeps < 2:
         return False

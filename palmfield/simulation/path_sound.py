@@ -37,7 +37,7 @@ class PathSound:
         self._fields.adopt(other._fields)
 
     def holds(self, posed: PosedScene) -> bool:
-        """Whether arrays and bodies are in the reference pose."""
+        """Return whether arrays and bodies are in the reference pose."""
         return (
             self.serves
             and posed.arrays.serial == self.model.arrays.serial
@@ -73,7 +73,7 @@ class PathSound:
 
 
 def serves(model: HapticModel) -> bool:
-    """Whether one stimulus moves along a predicted path, past bodies that are expected to stay at rest."""
+    """Return whether one stimulus moves along a predicted path, past bodies that are expected to stay at rest."""
     reduced = not all(skin.choice.solver.any_pose for skin in model.skins)
     if not reduced or one_shape(model.stimuli[model.sounding]):
         return False

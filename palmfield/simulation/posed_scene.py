@@ -328,7 +328,7 @@ def settled_worlds(
 
 
 def _settled(body: PosedSurface, reference: PosedSurface, corners: Float, still_m: float) -> bool:
-    """Whether a body counts as in the reference pose, by boxes around its skins, or with bones by its whole surface."""
+    """Return whether a body is in the reference pose, by boxes around its skins, or with bones by its surface."""
     if body.model.hand is None:
         now, then = body.frame.points(corners), reference.frame.points(corners)
     else:
@@ -337,7 +337,7 @@ def _settled(body: PosedSurface, reference: PosedSurface, corners: Float, still_
 
 
 def _obstacles_settled(posed: PosedSkin, reference: PosedSkin) -> bool:
-    """Whether the obstacles count as in the reference pose."""
+    """Return whether the obstacles count as in the reference pose."""
     if posed.obstacles is None or reference.obstacles is None:
         return True
     return _within(posed.obstacles[0], reference.obstacles[0], posed.skin.still_m)

@@ -163,6 +163,6 @@ class Radiation:
 
 
 def bends(skin: SkinModel) -> bool:
-    """Whether sound bends around the obstacles that cast shadows on a skin."""
+    """Return whether sound bends around the obstacles that cast shadows on a skin."""
     config = skin.spec.config
     return config.body_sound == "shadows" and config.shadow_edges == "knife_edge"

@@ -53,7 +53,7 @@ class MotionRows(NamedTuple):
 
 
 def motions_of(model: HapticModel, layout: PoseLayout) -> MotionRows:
-    """Motions of the bodies and obstacles of a model."""
+    """Return the motions of the bodies and obstacles of a model."""
     bodies, obstacles, frames = list[slice](), list[slice](), list[int]()
     rest: list[Float] = []
     for body, (row, bones) in zip(model.bodies, layout.bodies, strict=True):
@@ -229,7 +229,7 @@ def _loaded(skin: SkinModel, stepper: SkinStepper | None) -> tuple[Float, Float,
 
 
 def _rest_samples(reference: PosedScene, number: int) -> tuple[Float, Float, Float]:
-    """Points [m], normals and areas [m2] for the force on a body in one piece, in its frame."""
+    """Return points [m], normals and areas [m2] for the force on a body in one piece, in its frame."""
     body = reference.bodies[number]
     if body.model.surface is None:
         quadrature = body.skin.layer.quadrature

@@ -171,7 +171,7 @@ def first_array_frame(model: ModelView) -> Transform:
 def _arrays(
     instances: list[tuple[int, str, Any]], model: ModelView
 ) -> tuple[tuple[ArraySpec, ...], tuple[int, ...], tuple[tuple[int, ...], ...]]:
-    """Specs, frame sites and transducer sites of the arrays; each array has a frame site of its own."""
+    """Return specs, frame sites and transducer sites of the arrays; each array has its own frame site."""
     first_name, first = instances[0][1:]
     for _, name, config in instances[1:]:
         for key in SAME_AIR:
@@ -198,7 +198,7 @@ def _arrays(
 
 
 def array_files(config: ArrayConfig, element: str) -> "tuple[Calibration | None, TransducerTable | None]":
-    """The content of the files of keys calibration and transducers, None for a key that is not set.
+    """Return the contents of the files of keys calibration and transducers, None for a key that is not set.
 
     Raises SceneError as `read_file` and `check_calibrated_once`.
     """
@@ -214,7 +214,7 @@ def array_files(config: ArrayConfig, element: str) -> "tuple[Calibration | None,
 
 
 def read_file(read: Callable[[str], T], config: Config, key: str, element: str) -> T | None:
-    """The content of the file of a key, None if the key is not set. Raises SceneError with element and key."""
+    """Return the content of the file of a key, None if the key is not set. Raises SceneError with element and key."""
     name = getattr(config, key)
     with naming_keys(element, setting=key):
         return None if name is None else read(name)
@@ -231,7 +231,7 @@ def check_calibrated_once(calibration: "Calibration", config: ArrayConfig, eleme
 
 
 def transducer_sites(config: ArrayConfig, name: str, model: ModelView) -> tuple[int, ...]:
-    """Numbers of the sites that are the transducers of an array; empty for layouts other than `sites`.
+    """Return the numbers of the sites of the transducers of an array; empty for layouts other than `sites`.
 
     A site that a key names is not a transducer, for any prefix of its name.
     """
@@ -508,7 +508,7 @@ def bones_of(skin: SkinConfig, element: str, model: ModelView) -> list[int]:
 
 
 def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
-    """Prefix of the names of the bodies, and the bones in the frame of key `body`."""
+    """Return the prefix of the names of the bodies, and the bones in the frame of key `body`."""
     if skin.shape == "rigged":
         from palmfield.hand.rigged import joint_of_body
         from palmfield.hand.skinning import bones_of_mesh, rigged_file

@@ -20,7 +20,7 @@ numbers of these samples among all samples of the body, shape (n,)."""
 
 
 def seen(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_]:
-    """Whether at least one transducer may be in front of points [m] with outward normals, shapes (n, 3): shape (n,).
+    """Return whether any transducer may be in front of points [m] with outward normals, shapes (n, 3) to (n,).
 
     The test uses the corners of a box that contains the transducers of each array.
     """

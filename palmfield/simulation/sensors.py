@@ -52,7 +52,7 @@ class SensorPlace:
         self._readers: dict[SkinStepper, Reader] = {}
 
     def reader(self, stepper: SkinStepper) -> Reader:
-        """Operator from the state of one stepper to displacement and velocity along the outward normal there."""
+        """Return the operator from the state of a stepper to displacement and velocity along the outward normal."""
         reader = self._readers.get(stepper)
         if reader is None:
             reader = self._readers[stepper] = stepper.reader(self.probe.operator)

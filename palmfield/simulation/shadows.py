@@ -31,7 +31,7 @@ class _Behind(FreeSound):
         self.model, self._shared = model, shared
 
     def _obstacles(self, posed: PosedScene, skin: int) -> Occlusion:
-        """The obstacles of a skin: its own body, the bodies of the other skins, and its listed obstacles."""
+        """Return the obstacles of a skin: its own body, the bodies of the other skins, and its listed obstacles."""
         return self._shared.of(
             ("obstacles", skin),
             posed.sound_keys[skin],
@@ -146,12 +146,12 @@ class ScatteredSound(FreeSound):
 
 
 def load_nodes(skin: PosedSkin) -> ShadowNodes:
-    """Nodes among the quadrature points of a skin, in the reference scene."""
+    """Return the nodes among the quadrature points of a skin, in the reference scene."""
     return shadow_nodes(*skin.quadrature, SKIN_SPACING_m)
 
 
 def sample_nodes(body: PosedSurface) -> ShadowNodes:
-    """Nodes among the samples for the force on a body, in the reference scene."""
+    """Return the nodes among the samples for the force on a body, in the reference scene."""
     return shadow_nodes(*body.samples[:2], BODY_SPACING_m)
 
 

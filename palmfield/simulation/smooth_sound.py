@@ -156,7 +156,7 @@ class SmoothSound:
         return alike
 
     def unit(self, world: int) -> Complex:
-        """The unit drive of a world that has joined, shape (N,)."""
+        """Return the unit drive of a world that has joined, shape (N,)."""
         own = self._of[world]
         assert own is not None
         return own.amplitudes
@@ -234,13 +234,13 @@ class SmoothSound:
 
 
 def _are(emitted: Complex, levels: Complex, units: Complex) -> Bool:
-    """Whether the emission, shape (g, N), is a number times a unit drive, for each world, shape (g,)."""
+    """Return whether the emission, shape (g, N), is a number times a unit drive, for each world, shape (g,)."""
     rest = emitted - levels[:, None] * units
     return np.asarray(np.maximum.reduce(rest.real**2 + rest.imag**2, axis=1) < SILENT**2)
 
 
 def _may_join(model: HapticModel) -> bool:
-    """Whether the emission of a world is usually a number times one drive."""
+    """Return whether the emission of a world is usually a number times one drive."""
     if len(model.stimuli) != 1:
         return False
     stimulus = model.stimuli[0]

@@ -82,12 +82,12 @@ def new_state(model: HapticModel, worlds: int = 1) -> HapticState:
 
 
 def at_rest(state: HapticState, skin: int) -> bool:
-    """Whether a skin has not been stepped since the start or a reset."""
+    """Return whether a skin has not been stepped since the start or a reset."""
     return bool(state.skins[skin][0, 0] == 0.0)
 
 
 def untouched(state: HapticState) -> bool:
-    """Whether the state is as after a reset, before the first step."""
+    """Return whether the state is as after a reset, before the first step."""
     return not any(np.logical_or.reduce(part[0]) for part in state.arrays)
 
 

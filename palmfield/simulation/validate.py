@@ -42,7 +42,7 @@ SURFACE_KEYS = ("shape", *(key for key, shapes in OF_SHAPES.items() if shapes !=
 
 
 def check_bodies(spec: SceneSpec) -> None:
-    """Refuse skins on one body whose keys define different surfaces, and two discs on one body."""
+    """Raise SceneError for skins on one body whose keys define different surfaces, and two discs on one body."""
     first: dict[str, SkinSpec] = {}
     for skin in spec.skins:
         other = first.setdefault(skin.config.body, skin)
@@ -64,7 +64,7 @@ def check_bodies(spec: SceneSpec) -> None:
 
 
 def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
-    """Refuse arrays at the same place: transducers of two arrays that are nearer than their faces allow.
+    """Raise SceneError for transducers of two arrays that are closer than their faces allow.
 
     Within one array, whose places come from one file or model, only distances impossible for any transducer count.
     """
@@ -94,7 +94,7 @@ def pitch_m(positions: Float) -> float:
 
 
 def check_overlaps(skins: Sequence[SkinModel]) -> None:
-    """Refuse overlapping layers on one body: the same skin would exist twice."""
+    """Raise SceneError for overlapping layers on one body: the same skin would exist twice."""
     for number, skin in enumerate(skins):
         for other in skins[:number]:
             if other.body != skin.body:
@@ -110,7 +110,7 @@ def check_overlaps(skins: Sequence[SkinModel]) -> None:
 
 
 def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float, stimulus: StimulusModel) -> None:
-    """Refuse elements and steps so small that the run would not end. Only the layer's sizes are needed, no mesh.
+    """Raise SceneError for elements and steps so small that the run would not end. It needs sizes, but no mesh.
 
     stimulus: the stimulus whose spot determines the sizes
     """
@@ -150,7 +150,7 @@ def _missed(skin: SkinSpec, layer: SceneLayer, stimulus: StimulusModel) -> str:
 
 
 def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusModel]) -> None:
-    """Refuse stimuli that take boundary elements too long: each focus and pose needs a new solution."""
+    """Raise SceneError for stimuli too costly for boundary elements: each focus and pose needs a new solution."""
     if skin.config.body_sound != "scattering":
         return
     name = f"{skin.element}: key 'body_sound' has value 'scattering'; allowed:"
@@ -166,7 +166,7 @@ def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusModel]) -> None:
 
 
 def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
-    """Refuse a board on arrays that it does not drive (SceneError)."""
+    """Raise SceneError for a board on arrays that it does not drive."""
     if board.exact:
         return
     least, most = board.arrays
@@ -194,7 +194,7 @@ def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
 
 
 def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
-    """Refuse (DeviceError) a stimulus whose envelope differs from the one that the board generates."""
+    """Raise DeviceError for a stimulus whose envelope differs from the one that the board generates."""
     config = stimulus.config
     if config.modulation != "am":
         raise DeviceError(
@@ -211,7 +211,7 @@ def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
 
 
 def check_board(stimulus: StimulusSpec, board: Board) -> None:
-    """Refuse a stimulus that the board cannot play (DeviceError)."""
+    """Raise DeviceError for a stimulus that the board cannot play."""
     if board.exact:
         return
     config, element = resolved(stimulus.config, focus_table=stimulus.focus_table), stimulus.element

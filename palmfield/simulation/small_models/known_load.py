@@ -101,7 +101,7 @@ def refusal(skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...
 
 
 def expected_vectors(stimulus: StimulusModel) -> int:
-    """Expected number of vectors of the model, from the shipped scenes."""
+    """Return the expected number of vectors of the model, from the shipped scenes."""
     if one_shape(stimulus):
         return 60
     config = stimulus.config
@@ -113,7 +113,7 @@ def expected_vectors(stimulus: StimulusModel) -> int:
 
 
 def one_shape(stimulus: StimulusModel) -> bool:
-    """Whether the load is one field in which only the level changes."""
+    """Return whether the load is one field in which only the level changes."""
     response = stimulus.response
     alike = not response.on or (not response.delayed and np.ptp(np.abs(response.pole.rate)) == 0.0)
     return stimulus.config.path == "point" and alike
@@ -131,7 +131,7 @@ def period_s(config: StimulusConfig) -> float | None:
 
 
 def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> int:
-    """Number of loads to compute over one period, for harmonics up to BAND, the same for each held point of a path."""
+    """Return the loads per period for harmonics up to BAND, a count that is equal for all held points of a path."""
     points = max(points_a_turn(config), 1)
     band = BAND * (2.0 if points > 1 else 1.0) * max_frequency_Hz
     return points * math.ceil(max(32, 4 * math.ceil(band * turn_s)) / points)

@@ -154,7 +154,7 @@ def _skin_axes(layer: SceneLayer, middle: Float, region_m: float) -> Float:
 
 
 def _images() -> list[Float]:
-    """Quarter turns about the third axis, and with them the mirror images, (3, 3) each."""
+    """Return quarter turns about the third axis, and with them the mirror images, (3, 3) each."""
     turns = [np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
     return [turn @ np.diag([1.0, mirror, 1.0]) for mirror in (1.0, -1.0) for turn in turns]
 
@@ -169,7 +169,7 @@ def _images_of(move: Float) -> list[Float]:
 
 
 def _foci(rng: np.random.Generator, offsets: Float, region_m: float, count: int) -> Float:
-    """Foci near the skin and their images, from its middle in the skin's frame [m], shape (images, count, 3).
+    """Return foci near the skin and their images, from its centre in the skin's frame [m], shape (images, count, 3).
 
     offsets: of the quadrature points, in that frame, shape (q, 3). Foci are uniform over the area of the region, by
     distance from the middle and direction, and take their height from the nearest point.

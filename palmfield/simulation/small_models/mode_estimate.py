@@ -28,12 +28,12 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
 
 
 def laws(layer: SceneLayer) -> int:
-    """Number of relaxation laws of the sheets of a layer."""
+    """Return the number of relaxation laws of the sheets of a layer."""
     return len({sheet.material.law for sheet in layer.sheets})
 
 
 def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:
-    """Expected number of modes, from the shipped scenes."""
+    """Return the expected number of modes, from the shipped scenes."""
     shapes = SHAPES * (region_m(layer) / layer.demand.spot_fwhm_m) ** 2 * (0.2 / skin.config.accuracy) ** 0.35
     return float(KEPT * block_count(skin.config.accuracy) * shapes)
 

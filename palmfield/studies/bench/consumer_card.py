@@ -57,7 +57,7 @@ class Work:
         )
 
     def seconds(self, card: Card) -> float:
-        """[s]"""
+        """Return the time of the stage [s]."""
         rate = SHARE * card.instructions_per_s
         computing = self.single / rate + self.double / (rate * card.double)
         return computing + self.bytes / (SHARE * card.bytes_per_s) + self.kernels * KERNEL_s

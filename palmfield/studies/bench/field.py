@@ -193,7 +193,7 @@ def run_range(
 
 @functools.cache
 def problem_of(model: str, low_m: float, high_m: float, points: int, device: str) -> Problem:
-    """The benchmark's problem for one of MODELS, at points in a box between two distances."""
+    """Return the problem of the benchmark for one of MODELS, at points in a box between two distances."""
     array = replace(layout(LAYOUT), directivity_table=None)
     if model == "sphere":
         array = replace(array, piston_radius_m=0.0)
@@ -267,7 +267,7 @@ def stride(problem: Problem) -> int:
 
 @functools.cache
 def reference(problem: Problem) -> tuple[Complex, Complex]:
-    """Pressure and gradient in float64 at every stride-th point of the problem."""
+    """Return pressure and gradient in float64 at every stride-th point of the problem."""
     points = problem.points()[:: stride(problem)]
     lost = problem.absorption_Np_m
     pressure, gradient = pressure64(points, problem.array(), problem.drive, AIR, gradient=True, absorption_Np_m=lost)
@@ -276,7 +276,7 @@ def reference(problem: Problem) -> tuple[Complex, Complex]:
 
 
 def relative(computed: Any, expected: Any) -> float:
-    """Relative difference in the L2 norm."""
+    """Return the relative difference in the L2 norm."""
     return float(np.linalg.norm(computed - expected) / np.linalg.norm(expected))
 
 

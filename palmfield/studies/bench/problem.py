@@ -57,7 +57,7 @@ class Problem:
         return Array("bench", self.positions, self.normals, self.p0_Pa_m, self.frequency_Hz, self.piston_radius_m)
 
     def points(self) -> Float32:
-        """Points of the grid [m], shape (product of steps, 3), float32, x running fastest."""
+        """Return the points of the grid [m], shape (product of steps, 3), float32, x running fastest."""
         axes = [low + self.resolution_m * np.arange(n) for low, n in zip(self.low_m, self.steps, strict=True)]
         z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
         return np.column_stack([x.ravel(), y.ravel(), z.ravel()]).astype(np.float32)
@@ -67,7 +67,7 @@ class Problem:
 
 
 def load(path: Path) -> Problem:
-    """Problem written by `Problem.save`."""
+    """Read a problem written by `Problem.save`."""
     with np.load(path) as stored:
         values = {name: stored[name] for name in stored.files}
     return Problem(**{name: value if value.ndim else value.item() for name, value in values.items()})

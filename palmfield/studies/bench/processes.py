@@ -1,4 +1,4 @@
-"""Methods in processes of their own, run in turns, so that other load of the machine affects all of them equally."""
+"""Run methods in separate processes, in turns, so that other load of the machine affects all of them equally."""
 
 import hashlib
 import json
@@ -116,7 +116,7 @@ class Process:
 
 
 def yardstick() -> float:
-    """Seconds of one float64 product of two 1000 x 1000 matrices on one thread: a measure of the present speed."""
+    """Return the time of a float64 product of two 1000 x 1000 matrices on one thread [s], a measure of the speed."""
     matrix = np.random.default_rng(0).normal(size=(SIZE, SIZE))
     start = time.perf_counter()
     matrix @ matrix
@@ -124,7 +124,7 @@ def yardstick() -> float:
 
 
 def cores() -> float:
-    """Throughput of one thread per core relative to one thread, on hashing, which releases Python's global lock."""
+    """Return the throughput of one thread per core relative to one thread, for hashing (releases Python's lock)."""
     data = bytes(20_000_000)
     count = os.cpu_count() or 1
 

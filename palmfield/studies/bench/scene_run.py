@@ -1,4 +1,4 @@
-"""One scene measured in a process of its own: `python -m palmfield.studies.bench.scene_run JOB`, JOB as JSON.
+"""Measure one scene in a separate process: `python -m palmfield.studies.bench.scene_run JOB`, JOB as JSON.
 
 The last line of its output is the answer, as JSON. The time to prepare depends on the cache, so the caller sets the
 cache folder in the environment.
@@ -69,7 +69,7 @@ class Yardstick:
         self._sum = np.empty_like(self._long)
 
     def ms(self) -> float:
-        """Median of seven times [ms]."""
+        """Return the median of seven times [ms]."""
         times = []
         for _ in range(7):
             start = time.perf_counter()
@@ -182,7 +182,7 @@ def stated(sim: Simulation) -> tuple[float, float | None] | None:
 
 
 def node_areas(nodes: Float, faces: Any) -> Float:
-    """Area assigned to each node of a triangulated surface [m^2], shape (S,)."""
+    """Return the area assigned to each node of a triangulated surface [m^2], shape (S,)."""
     a, b, c = (nodes[faces[:, corner]] for corner in range(3))
     third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
     return np.bincount(faces.ravel(), np.repeat(third, 3), len(nodes)).astype(np.float64)
@@ -228,7 +228,7 @@ def compared(job: Job) -> dict[str, Any]:
 
 
 def relative_errors(motions: list[Float], expected: list[Float], areas: list[Float]) -> tuple[float, float]:
-    """Errors of displacement and velocity, L2 over times and surfaces; motions (t, 2, n), areas of nodes (n,)."""
+    """Return L2 errors of displacement and velocity over times and surfaces; motions (t, 2, n), areas (n,)."""
     squares = np.zeros((2, 2))
     for mine, theirs, area in zip(motions, expected, areas, strict=True):
         for row, values in enumerate((mine - theirs, theirs)):

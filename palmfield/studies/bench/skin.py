@@ -191,7 +191,7 @@ def draw(rows: list[SkinRow], path: Path) -> None:
 
 
 def speed_figure(rows: list[SkinRow]) -> Figure:
-    """Seconds against the larger of both errors, a line for each method."""
+    """Draw seconds against the larger of both errors, a line for each method."""
     with style():
         figure = Figure(figsize=(7.5, 5.0), layout="constrained")
         axis = figure.subplots()

@@ -21,7 +21,7 @@ class Case:
     fwhm_m: float
 
     def exact(self) -> tuple[float, complex]:
-        """Displacement of the centre per peak pressure [m/Pa], static and at F_Hz, by plane waves in depth."""
+        """Return the displacement of the centre per peak pressure [m/Pa], static and at F_Hz, by waves in depth."""
         still, moving = (
             complex(centre_response(f, self.material, self.depth_m, self.fwhm_m).item()) for f in (0.0, F_Hz)
         )

@@ -1,4 +1,4 @@
-"""Run one method in a process of its own, by commands: `python -m palmfield.studies.bench.worker MODULE NAME FILE`.
+"""Run one method in a separate process, by commands: `python -m palmfield.studies.bench.worker MODULE NAME FILE`.
 
 It answers each line of standard input by one line of JSON on standard output:
 `prepare` (with versions, seconds and memory), `run` (seconds on the clock and of the cores), `save PATH` (the last

@@ -98,7 +98,7 @@ def suspected_faults(
 
 
 def above(motion: SurfaceMotion, frequency_Hz: float) -> float:
-    """Share of the power of the normal velocity above a frequency, 0 to 1."""
+    """Return the fraction of the power of the normal velocity above a frequency, 0 to 1."""
     velocity = np.einsum("tni,ni->tn", motion.velocity_m_s, motion.normals)
     power = (np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2).sum(axis=1)
     lines = np.fft.rfftfreq(len(velocity), float(np.median(np.diff(motion.times_s))))

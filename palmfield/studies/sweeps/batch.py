@@ -92,7 +92,7 @@ def run_batch(task: Task, base: Keys, shared: Shared | None, points: Sequence[Po
 
 
 def _run(task: Task, base: Keys, shared: Shared | None, point: Point) -> Numbers | Failed:
-    """Numbers of one point."""
+    """Return the numbers of one point."""
     try:
         if shared is not None and shared.modal:
             (numbers,) = _measured(task, _worlds(task, base, shared, [point]))
@@ -119,7 +119,7 @@ def _measured(task: Task, simulation: Simulation) -> list[Numbers]:
 
 
 def _worlds(task: Task, base: Keys, shared: Shared, points: Sequence[Point]) -> Simulation:
-    """Points as worlds of one simulation."""
+    """Return the points as worlds of one simulation."""
     keys: dict[str, Sequence[Any]] = {}
     for full in points[0].differing:
         values = [point.differing[full] for point in points]

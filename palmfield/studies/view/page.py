@@ -393,7 +393,7 @@ class Page:
         self._say_how(words, magnify)
 
     def _repeats(self) -> int:
-        """Number of pictures for each state of a replay, so that a replay of few states is slow enough."""
+        """Return the number of pictures for each state of a replay, so that a replay of few states is slow enough."""
         assert self._replay is not None
         return max(1, round(TURNS_IN_s * self._place.rate_Hz / max(len(self._replay.times), 1)))
 

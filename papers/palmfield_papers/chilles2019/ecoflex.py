@@ -10,7 +10,7 @@ from palmfield.skin.materials.material import bulk_from_poisson
 
 
 def ecoflex_time_as_printed() -> Material:
-    """Ecoflex 00-10 with their printed time, tau = 0.171 us.
+    """Return Ecoflex 00-10 with their printed time, tau = 0.171 us.
 
     eta / G_m = 3.42 Pa s / 20 kPa is 171 us, a thousand times more: with the printed time the material has no loss
     below 100 kHz. Corrected: preset 'ecoflex_00-10'.
@@ -20,7 +20,7 @@ def ecoflex_time_as_printed() -> Material:
 
 
 def ecoflex_bulk_corrected() -> Material:
-    """Ecoflex 00-10 with nu 0.495 of the instantaneous modulus.
+    """Return Ecoflex 00-10 with nu 0.495 of the instantaneous modulus.
 
     Preset 'ecoflex_00-10' reads nu as printed, of the relaxed modulus: under fast loads the shear modulus rises and
     Poisson's ratio falls to nu 0.487.
@@ -31,7 +31,7 @@ def ecoflex_bulk_corrected() -> Material:
 
 
 def ecoflex_rate_law_as_printed() -> float:
-    """Shear modulus [Pa] of Ecoflex 00-10 by their law as printed, eps' = sigma_1'/G_m + sigma_2'/eta.
+    """Return the shear modulus [Pa] of Ecoflex 00-10 by their law as printed, eps' = sigma_1'/G_m + sigma_2'/eta.
 
     With sigma_1 = G_r eps it gives sigma_2 = eta (1 - G_r/G_m) eps: a strain times Pa s is not a stress, and with SI
     numbers, the solid has the same modulus at all frequencies and no loss. Corrected: eps' = sigma_2'/G_m +
@@ -42,7 +42,7 @@ def ecoflex_rate_law_as_printed() -> float:
 
 
 def ecoflex_rate_law_mixed(f_Hz: float) -> complex:
-    """Complex shear modulus [Pa] at f [Hz] of their law with its last dot treated as a misprint.
+    """Return the complex shear modulus [Pa] at f [Hz] of their law with its last dot treated as a misprint.
 
     eps' = sigma_1'/G_m + sigma_2/eta still contains sigma_1 of the spring instead of sigma_2 of the branch: G = G_r -
     i w eta (1 - G_r/G_m), a Kelvin-Voigt solid. Corrected as above.
@@ -52,6 +52,6 @@ def ecoflex_rate_law_mixed(f_Hz: float) -> complex:
 
 
 def left_over_viscosity(material: Material) -> float:
-    """eta (1 - G_r/G_m) of a standard linear solid [Pa s]."""
+    """Return eta (1 - G_r/G_m) of a standard linear solid [Pa s]."""
     branch = material.branches[0]
     return branch.shear_Pa * branch.time_s * (1.0 - material.shear_relaxed_Pa / branch.shear_Pa)

@@ -72,7 +72,7 @@ and back, about as long as the runs last."""
 
 
 def plate_of(setting: Setting, **changes: Any) -> Plate:
-    """The slab of rows R5 to R14 and R20; changes: of its fields, to find causes."""
+    """Return the slab of rows R5 to R14 and R20; changes: of its fields, to find causes."""
     readings = dict(setting.readings)
     plate = Plate(
         back=cast(Back, readings.get("reardon_back", "free")),
@@ -84,7 +84,7 @@ def plate_of(setting: Setting, **changes: Any) -> Plate:
 
 
 def tissue_of(setting: Setting, **changes: Any) -> Plate:
-    """The slab that represents the hand in rows R16 to R19: bonded, infinite."""
+    """Return the slab that represents the hand in rows R16 to R19: bonded, infinite."""
     readings = dict(setting.readings)
     tissue = readings.get("reardon_hand_tissue", "slab of 1 cm at 5 m/s, bonded")
     speed = _number(tissue.split(" at ")[1])
@@ -95,12 +95,12 @@ def tissue_of(setting: Setting, **changes: Any) -> Plate:
 
 
 def length_of(setting: Setting) -> float:
-    """Length of the straight path [m]."""
+    """Return the length of the straight path [m]."""
     return 0.01 * _number(dict(setting.readings).get("reardon_path", "16 cm"))
 
 
 def threshold_of(setting: Setting) -> float:
-    """Fraction of the maximum that defines a wake."""
+    """Return the fraction of the maximum that defines a wake."""
     return 0.01 * _number(dict(setting.readings).get("reardon_threshold", "10 %"))
 
 

@@ -27,7 +27,7 @@ def _motion(result: xr.DataTree, asked: Asked) -> tuple[Float, list[tuple[str, F
 
 
 def course(result: xr.DataTree, asked: Asked) -> Figure:
-    """Normal displacement or velocity over time."""
+    """Draw normal displacement or velocity over time."""
     times, motion = _motion(result, asked)
     figure = Figure(figsize=(7.0, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -44,7 +44,7 @@ def course(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def spectrum(result: xr.DataTree, asked: Asked) -> Figure:
-    """Single-sided amplitude spectra of the normal motion, with a Hann window. The mean is removed."""
+    """Draw single-sided amplitude spectra of the normal motion, with a Hann window. The mean is removed."""
     times, motion = _motion(result, asked)
     figure = Figure(figsize=(7.0, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -67,7 +67,7 @@ def spectrum(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
-    """Power of the normal motion over time and frequency, at the first `--place`."""
+    """Draw the power of the normal motion over time and frequency, at the first `--place`."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     vertex, what = chosen_vertices(result, name, skin, asked)[0]
     values = at_vertices(skin, [vertex], asked.quantity)[:, 0].astype(float)

@@ -9,7 +9,7 @@ from palmfield.outputs.sound import driven_arrays
 
 
 def drives(result: xr.DataTree, asked: Asked) -> Figure:
-    """Phase (cyclic colour) and amplitude (size) of each transducer at a given time."""
+    """Draw phase (cyclic colour) and amplitude (size) of each transducer at a given time."""
     arrays = driven_arrays(result)
     figure = Figure(figsize=(5.4 * len(arrays), 4.8), layout="constrained")
     for axes, (name, array) in zip(figure.subplots(1, len(arrays), squeeze=False)[0], arrays.items(), strict=True):

@@ -22,7 +22,7 @@ REACH_M = 0.3
 
 
 def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
-    """Amplitude of the incident pressure in a plane through the focus: the x-z plane of the first active array.
+    """Draw the amplitude of the incident pressure through the focus, in the x-z plane of the first active array.
 
     It is the field in free air, without obstacles. Ring-up is not included: amplitudes and phases are those of the
     drive.
