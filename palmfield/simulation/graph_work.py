@@ -95,9 +95,12 @@ class GraphOf(NamedTuple):
 class GraphWork:
     """Memory and kernel launches for a number of worlds and the largest sizes.
 
+    computes: whether a launch has not been waited for, so that inputs must not be written.
     inputs: copied to the device. results: copied back. arrays: these and the arrays that stay on the device, by name.
     load: ARP on the skins, (w m, q); `quadrature` gives the columns of each skin.
     """
+
+    computes = False
 
     def __init__(
         self, model: HapticModel, reference: PosedScene, transducers: Transducers, of: GraphOf, sizes: GraphSizes
@@ -311,20 +314,18 @@ class GraphWork:
         return [*calls, self.results.download]
 
     def replay(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> Callable[[], object]:
-        """Return one function for all these calls; on a GPU it is a captured graph, made at first use."""
-        key = moved, sounds, skins
-        cached = self._replays.get(key)
-        if cached is None:
-            calls = self.calls(*key)
-            # Refitting a mesh is not recorded on the CPU, and takes memory from the pool on a GPU
-            refits = moved and len(self._kept) > 0
-            captures = not refits or (self.device != "cpu" and wp.get_device(self.device).is_mempool_supported)
-            cached = self._replays[key] = replayed(calls, self.device) if captures else partial(_do, calls)
-        return cached
+        """Make one function of all these calls; on a GPU it is a captured graph."""
+        calls = self.calls(moved, sounds, skins)
+        # Refitting a mesh is not recorded on the CPU, and takes memory from the pool on a GPU
+        refits = moved and len(self._kept) > 0
+        captures = not refits or (self.device != "cpu" and wp.get_device(self.device).is_mempool_supported)
+        made = self._replays[moved, sounds, skins] = replayed(calls, self.device) if captures else partial(_do, calls)
+        return made
 
     def launch(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> None:
         """Start to compute a step; arguments as in `calls`."""
-        replay = self.replay(moved, sounds, skins)
+        replay = self._replays.get((moved, sounds, skins)) or self.replay(moved, sounds, skins)
+        self.computes = True
         with launching:
             replay()
             if self._done is not None:
@@ -334,6 +335,7 @@ class GraphWork:
         """Wait for the results of the last launch."""
         if self._done is not None:
             wp.synchronize_event(self._done)
+        self.computes = False
 
     def take_over(self, rows: Any) -> None:
         """Set the state of some worlds on the device to the result of the last step."""

@@ -141,8 +141,9 @@ class MovingWorlds(Backend):
         if work is None:
             joins[:] = False
             self._release(joins)
-            return self._rows()
-        work.wait()  # an error in another graph may have cut off the last step while this one computed it
+            return joins.nonzero()[0]
+        if work.computes:
+            work.wait()  # an error in another graph has cut off the last step
         if self._alone:
             self._bring(work, joins)
         else:
@@ -150,11 +151,7 @@ class MovingWorlds(Backend):
         hosts = work.inputs.hosts
         hosts["places"][:] = frames.places[self.own]
         hosts["axes"][:] = frames.axes[self.own].reshape(hosts["axes"].shape)
-        return self._rows()
-
-    def _rows(self) -> Rows:
-        """Return the numbers of the worlds that take this step here."""
-        return self._joins.nonzero()[0] + self.own.start
+        return joins.nonzero()[0] + self.own.start
 
     def _release(self, joins: Bool) -> None:
         """Copy the state of worlds that another backend steps back from the device."""
@@ -280,7 +277,7 @@ class MovingWorlds(Backend):
         work.wait()
         self._joins &= self._good(work)
         self._release(self._joins)
-        joined = self._rows()
+        joined = self._joins.nonzero()[0] + self.own.start
         self.stepped = self._sizes if len(joined) else []
         return joined
 
@@ -317,7 +314,9 @@ class MovingWorlds(Backend):
         good &= foci_made(hosts["path_totals"], levels[:, :-1], quiet, self._aims[:, 0]) | ~self._sounds
         good &= np.isfinite(np.add.reduce(hosts["forces"], axis=(1, 2)))
         for number in work.of.skins:
-            seen = self._seen[number] = _outside(work, number)
+            seen = work.of.skins[number].outside([*hosts[f"sums_{number}"].T])
+            assert seen is not None
+            self._seen[number] = seen
             loudest = np.maximum(np.maximum(self._loudest[number], seen.energy_of_all), NOTHING)
             good &= ~np.asarray(leaves_class(self.models[0], number, np.sqrt(seen.energy / loudest)))
         return np.asarray(good)
@@ -371,13 +370,6 @@ class MovingWorlds(Backend):
             keeper.outside[number].add(Outside(*np.concatenate(self._seen[number]).tolist()))
             claim(model, self.state, number, of.stepper)
             self.state.skins[number][:, HEADER : HEADER + of.stepper.state_size] = hosts[f"after_{number}"]
-
-
-def _outside(work: GraphWork, skin: int) -> Outside:
-    """Return the part of a skin's load in the last step outside the class of the modes, shape (w,) each."""
-    seen = work.of.skins[skin].outside([*work.results.hosts[f"sums_{skin}"].T])
-    assert seen is not None
-    return seen
 
 
 def may_join(model: HapticModel) -> bool:

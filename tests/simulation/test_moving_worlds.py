@@ -15,7 +15,7 @@ from palmfield.simulation import graph_work, step
 
 SCENES = folder("mjcf") / "scenes"
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-MOST_CALLS = 75
+MOST_CALLS = 61
 COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 300}
 
 
@@ -116,6 +116,33 @@ def test_a_step_in_which_a_level_jumps_is_taken_by_each_world_itself(
     alone.step(5)
     assert apart(worlds.skin().displacement[0], alone.skin().displacement) < 1e-5
     assert apart(worlds.emitted[0], alone.emitted) < 1e-9
+
+
+def test_inputs_are_not_written_while_a_step_that_an_error_cut_off_is_computed(
+    by_graph: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first of two graphs computes when the second fails; its next step waits, and goes on as without the error."""
+    monkeypatch.setattr(step, "LEAST_WORLDS", 2)
+    worlds = by_graph(SCENES / "hover_explore.xml", worlds=2, keys=COARSE | {"stimulus.drive_amplitude": [1.0, 0.6]})
+    worlds.start_at(0.1)
+    worlds.step(2)
+    twin = copied(worlds, monkeypatch)
+    first, second, _ = worlds.steps.backends
+
+    def fails(*_: Any) -> None:
+        raise DeviceError("no memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(second, "place", fails)
+        with pytest.raises(DeviceError, match="no memory"):
+            worlds.step()
+    assert first._work.computes
+    waits = []
+    monkeypatch.setattr(first._work, "wait", lambda wait=first._work.wait: waits.append(wait()))
+    worlds.step(2)
+    twin.step(2)
+    assert len(waits) == 3 and not first._work.computes
+    np.testing.assert_array_equal(worlds.forces, twin.forces)
 
 
 @pytest.mark.parametrize("scene", ["hover_explore", "follow_fingertip"])
