@@ -51,14 +51,17 @@ def main() -> None:
         lines = [
             "# Report cards",
             "",
-            f"Written by `python scripts/draw_cards.py`, commit {commit}. For users of own "
-            "meshes; [user_meshes.md](user_meshes.md) explains the names.",
+            "For users of their own meshes. This page has the report cards of many meshes; "
+            "[your own mesh](user_meshes.md) explains the words. Written by `python scripts/draw_cards.py`, "
+            f"commit {commit}.",
             "",
             "## The presets",
             "",
-            "Meshes of 3 mm edges, each written as a PLY in millimetres and read back with the unit inferred. Layer",
-            "columns: 10th percentile of the thickness over that requested [%], area thinned [%], volume over the",
-            "thickness integral [%], least scaled Jacobian. Left hands are listed only if they differ.",
+            "The meshes have edges of 3 mm. Each was written as PLY in millimetres and read again, with inferred unit.",
+            "Columns `1 mm` to `5 mm` have four values of a layer of this thickness: the 10th percentile of the "
+            "thickness",
+            "[%], the area where it is thinner [%], the volume relative to its integral [%], and the smallest scaled",
+            "Jacobian. Left hands are listed only if they differ.",
             "",
             *preset_table(presets),
             "",
@@ -75,9 +78,9 @@ def main() -> None:
             "",
             "## Hands of other people",
             "",
-            "Meshes that imitate other people's habits, and three things that are not hands, all of our own making",
-            "(`python scripts/verification/foreign_hands.py FOLDER`). No unit is given; the three things are",
-            "examined again in millimetres.",
+            "We made meshes in the way of other programs and laboratories, and three things that are not hands",
+            "(`python scripts/verification/foreign_hands.py FOLDER`). No unit was given. The three things were also",
+            "examined in millimetres.",
             "",
             *foreign_table(folder),
             "",
@@ -114,7 +117,7 @@ def preset_cards(folder: Path) -> dict[str, ReportCard]:
 
 def preset_table(cards: dict[str, ReportCard]) -> list[str]:
     first = next(iter(cards.values())).facts["layers"]
-    heads = ["preset", "size, mm", "side (sureness)", *(f"{layer['asked_mm']:g} mm" for layer in first)]
+    heads = ["preset", "size, mm", "side (confidence)", *(f"{layer['asked_mm']:g} mm" for layer in first)]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for name, card in cards.items():
         facts = card.facts
@@ -143,7 +146,7 @@ def fault_table(folder: Path) -> list[str]:
     """A line for each fault, with its picture where one shows it; and two that leave no mesh to examine."""
     from test_reportcard import FAULTS, hand, written
 
-    lines = ["| fault | the card says |", "|---|---|"]
+    lines = ["| fault | line of the report card |", "|---|---|"]
     for name, (build, _) in FAULTS.items():
         vertices, faces, _ = build()
         card = report_card(written(folder / f"{name.replace(' ', '_')}.ply", vertices, faces), "mm")
@@ -166,7 +169,7 @@ def foreign_table(folder: Path) -> list[str]:
     """A line for each mesh of other people: unit, side, verdict and what its card says of it; draws their pictures."""
     from foreign_hands import HANDS, NO_HANDS, card_of
 
-    lines = ["| mesh | unit, length | side (sureness) | verdict | why |", "|---|---|---|---|---|"]
+    lines = ["| mesh | unit, length | side (confidence) | verdict | why |", "|---|---|---|---|---|"]
     drawn = {}
     for foreign in HANDS + NO_HANDS:
         path = folder / foreign.file

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 HEADINGS = ("key", "unit", "allowed", "default", "meaning")
 SHORT = re.compile(r"finite number (?=[<>])|finite (number)")
-RENAMED = "Keys renamed since the last version; a scene with an old name gets an error that states the new one."
-SCENE = "Of the whole scene, as elements of MJCF's <custom>: numeric name=KEY data=VALUE, or text name=KEY data=VALUE."
+RENAMED = "These keys were renamed since the last version. A scene with an old name gets an error with the new name."
+SCENE = "Keys of the scene are elements of MJCF's <custom>: numeric name=KEY data=VALUE, or text name=KEY data=VALUE."
 SCENE_KEYS = (
     ("palmfield_duration_s", "s", "numeric, finite number > 0", "0.1", "duration of `palmfield run`"),
     ("palmfield_device", "", "text, auto | cpu | cuda:N", "auto", "compute device of the fields; auto: the first GPU"),
@@ -106,9 +106,9 @@ def as_markdown() -> str:
     """Return the page docs/keys.md."""
     from palmfield.config import CONFIGS, table
 
-    lines = ["# Keys of a scene", "", "Made by `palmfield keys --markdown`; do not edit.", ""]
-    about = "In `--set` and `keys=` a key is INSTANCE.key, or PLUGIN.key for all instances. Units end the names. "
-    lines += [f"{about}`--set INSTANCE.key={UNSET}` removes a key, as None does in `keys=`.", ""]
+    lines = ["# Keys of a scene", "", "For authors of scenes. Made by `palmfield keys --markdown`; do not edit.", ""]
+    about = "In `--set` and `keys=` a key is INSTANCE.key, or PLUGIN.key for all instances. A name ends with its unit. "
+    lines += [f"{about}`--set INSTANCE.key={UNSET}`, or None in `keys=`, removes a key.", ""]
     for config in CONFIGS:
         lines += _section(config.plugin, config.about, table(config))
     lines += _section("The scene", SCENE.replace("<custom>", "`<custom>`"), SCENE_KEYS)

@@ -63,7 +63,7 @@ class ArrayConfig(Config):
         None, description="quality factor of that resonance (default: the layout's, 25)"
     )
     response: Literal["auto", "on", "off"] = Field(
-        "auto", description="ring-up and flight time of the sound; auto ignores them where their error bound allows"
+        "auto", description="ring-up and flight time of the sound; auto: on if the error without them is too large"
     )
     array_face: Literal["absorbing", "rigid"] = Field(
         "absorbing",

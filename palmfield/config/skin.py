@@ -95,8 +95,8 @@ class SkinConfig(Config):
     )
     depth_m: Length = Field(
         0.02,
-        description="greatest depth of the layer (all shapes except disc); the depth to bone of a hand applies "
-        "where it is smaller",
+        description="largest depth of the layer (all shapes except disc); on a hand, the depth to the bone if that is "
+        "smaller",
     )
     material: str = Field("palm", description="a preset, by name (materials.md)")
     materials: Names = Field(

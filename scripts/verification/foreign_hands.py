@@ -294,16 +294,16 @@ def fork(path: Path) -> None:
 
 
 HANDS = [
-    Foreign("webxr.glb", "joints side by side, WebXR's names", "accepted", lambda p: sibling_rig(p, webxr_name)),
-    Foreign("openxr.glb", "joints side by side, OpenXR's names", "accepted", lambda p: sibling_rig(p, openxr_name)),
+    Foreign("webxr.glb", "joints without hierarchy, WebXR names", "accepted", lambda p: sibling_rig(p, webxr_name)),
+    Foreign("openxr.glb", "joints without hierarchy, OpenXR names", "accepted", lambda p: sibling_rig(p, openxr_name)),
     Foreign(
-        "unnamed.glb", "joints side by side, names that say nothing", "accepted with doubts",
+        "unnamed.glb", "joints without hierarchy, meaningless names", "accepted with doubts",
         lambda p: sibling_rig(p, lambda number, _: f"bone.{number:03d}"),
     ),
-    Foreign("mirrored.glb", "mirrored, names of the other hand kept", "accepted with doubts", mirrored_rig),
-    Foreign("quads.obj", "cut from a body along its quads, centimetres", "accepted", quads_cut_at_the_wrist),
+    Foreign("mirrored.glb", "mirrored, with the names of the other hand", "accepted with doubts", mirrored_rig),
+    Foreign("quads.obj", "cut from a body along its quads, in centimetres", "accepted", quads_cut_at_the_wrist),
     Foreign("decimetres.ply", "a left hand in decimetres", "accepted", left_in_decimetres),
-    Foreign("z_up.stl", "Z up, inches, corners not shared", "accepted", z_up_in_inches),
+    Foreign("z_up.stl", "Z up, in inches, without shared corners", "accepted", z_up_in_inches),
     Foreign("inner_shell.obj", "a hidden inner shell", "accepted", inner_shell),
     Foreign("forearm.ply", "with its forearm, open at the elbow", "accepted", forearm),
     Foreign("crossed.ply", "bent fingers that cross", "refused", crossed),
