@@ -55,7 +55,7 @@ LOAD, FORCE, NOW = "load", "force", "now"
 """Purposes of drives: the load of the skins over the step, the mean force over it, and the sensors at its beginning."""
 Launches = list[Callable[[], object]]
 PURPOSES = LOAD, FORCE, NOW
-PATH = "counts", "group", "foci", "wanted", "aims", "ring", "pushes", "begun", "end", "totals"
+PATH = "counts", "group", "foci", "targets", "aims", "ring", "pushes", "begun", "end", "totals"
 """Parts of a PathMemory that hold the inputs and results of a step."""
 
 

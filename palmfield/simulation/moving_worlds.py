@@ -255,9 +255,9 @@ class MovingWorlds(Backend):
         hosts["own_foci"][:] = ahead.foci[:, step][kinds]
         levels, means = ahead.levels[:, step], ahead.means[:, step]
         moments = levels.shape[1] - 1
-        wanted = hosts["path_targets"]
-        wanted[:, :moments] = levels[kinds, :moments]
-        wanted[:, moments], wanted[:, moments + 1] = 1.0, levels[kinds, moments]
+        targets = hosts["path_targets"]
+        targets[:, :moments] = levels[kinds, :moments]
+        targets[:, moments], targets[:, moments + 1] = 1.0, levels[kinds, moments]
         sounds = np.logical_or.reduce(levels > 0.0, axis=1)[kinds]
         if self._rings:
             sounds |= self._most >= SILENT

@@ -143,8 +143,8 @@ class SceneGraph(HostBackend):
         hosts["path_counts"][0] = count + 1, count // moments
         hosts["path_group"][0] = 0 if path.group is None else path.group
         hosts["own_foci"][0, : count + 1] = path.foci
-        wanted = hosts["path_targets"][0]
-        wanted[:count], wanted[count], wanted[count + 1] = path.levels, 1.0, path.now
+        targets = hosts["path_targets"][0]
+        targets[:count], targets[count], targets[count + 1] = path.levels, 1.0, path.now
         ring = drives.ring(path.moments)
         hosts["path_ring"].view(np.complex128)[: len(ring), :, 0] = ring
         hosts["path_begun"].view(np.complex128)[0, :, 0] = emitted
