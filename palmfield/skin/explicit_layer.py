@@ -118,7 +118,7 @@ class ExplicitLayer(LayerSolver, Protocol):
     """The layer of a solver with its own mesh, made of the SceneLayer alone."""
 
     own_mesh: bool = True
-    steps: str = "steps of its own"
+    steps: str = "steps of the solver"
     sizes_follow: str = "the solver chooses its own sizes; the run estimates the error"
 
     @property

@@ -98,7 +98,7 @@ class OwnMesh(ExplicitLayer, Protocol):
                     f"with the solver, as it steps with the pressure wave: at most {self.stiffest:g}; or solver wedges",
                     mends=("material", "materials", "bulk_Pa"),
                 )
-        # A slab of the same sheets: only its base and materials are checked here
+        # A slab of the same sheets, of which only base and materials are checked here
         sheets = tuple(Sheet(sheet.material, 0.01 * sheet.thickness_m) for sheet in self.layer.sheets)
         slab = Slab(sheets, "disc", base_of(config), "fixed", 0.1)
         load = Spot(self.layer.demand.spot_fwhm_m, np.zeros(1), np.ones(1))
@@ -140,8 +140,8 @@ class OwnMesh(ExplicitLayer, Protocol):
             shape = np.exp(-GAUSSIAN * (away / spot.fwhm_m) ** 2)
             load = Traction(points, areas_m2, spot.times_s, spot.peak_Pa[:, None] * shape)
         away = np.linalg.norm(points - middle, axis=1)
-        beside = points[np.argmin(np.abs(away - 0.5 * spot.fwhm_m))]
-        return load, spot.times_s[1:], np.stack([points[np.argmin(away)], beside])
+        flank = points[np.argmin(np.abs(away - 0.5 * spot.fwhm_m))]
+        return load, spot.times_s[1:], np.stack([points[np.argmin(away)], flank])
 
     def _spot(self, periods: float, f_Hz: float) -> Spot:
         """A spot in the middle of the layer whose pressure oscillates between 0 and 1 Pa."""

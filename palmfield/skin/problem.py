@@ -385,7 +385,7 @@ def points_on_face(body: Body, at: ArrayLike) -> Float:
         if distance.max() > longest:
             worst = int(np.argmax(distance))
             raise SceneError(
-                f"point {worst} at {points[worst].tolist()} m lies {distance[worst]:.3g} m from the layer; give "
+                f"point {worst} at {points[worst].tolist()} m is {distance[worst]:.3g} m from the layer; give "
                 "points on its face"
             )
         return points if across == 3 else lifted(body.patch, points)
@@ -398,7 +398,7 @@ def points_on_face(body: Body, at: ArrayLike) -> Float:
     if outside.any():
         worst = int(np.flatnonzero(outside)[0])
         raise SceneError(
-            f"point {worst} at {flat[worst].tolist()} m lies outside the slab, a {body.shape} of "
+            f"point {worst} at {flat[worst].tolist()} m is outside the slab, a {body.shape} of "
             f"{body.radius_m or body.size_m} m; give points on its face"
         )
     return flat

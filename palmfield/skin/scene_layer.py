@@ -110,7 +110,7 @@ def layer_sizes(
     near, far = path_reach_m
     fine_radius, radius = fine_radius + near, radius + far
     radius = config.radius_m or config.patch_radius_m or radius
-    # A small patch of a curved body needs some triangles for its shape, whatever the accuracy.
+    # A small patch of a curved body needs some triangles for its shape at any accuracy.
     coarse = min(coarse, (0.5 if config.shape == "disc" else 0.25) * radius)
     fine = min(fine, coarse)
     step = config.step_s or step
@@ -203,7 +203,7 @@ class SceneLayer:
         # The mesh of a left hand is the mirror image of that of the right hand, like its surface
         left = config.shape in OF_SHAPES["hand"] and load_preset(config.hand).side == "left"
         surface, mirror = (mirrored_surface(self.surface), MIRROR) if left else (self.surface, np.ones(3))
-        # In a hand the bones are known, so the layer may reach past the middle; any other body has no inner parts.
+        # The layer of a hand preset, which has bones, may reach past the middle; other bodies have no inner parts.
         fraction = 0.6 if config.shape in OF_SHAPES["hand"] else 0.45
         with self.meshing():
             patch = surface_patch(
@@ -279,7 +279,7 @@ class SceneLayer:
         sizes = self.sizes
         inner = min(sizes.fine_radius_m, sizes.radius_m)
         middle = 0.5 * (sizes.edge_fine_m + sizes.edge_coarse_m)
-        # An equilateral triangle of edge a has the area 0.43 a^2; quadratic wedges have two nodes a triangle and level.
+        # An equilateral triangle of edge a has the area 0.43 a^2; quadratic wedges have 2 nodes per triangle and level.
         fine = inner / sizes.edge_fine_m
         triangles = math.pi / 0.43 * (fine * fine + (sizes.radius_m**2 - inner**2) / middle / middle)
         return 3.0 * 2.0 * triangles * 2.0 * (len(sizes.depth_fractions) - 1)

@@ -135,7 +135,7 @@ def ranking(problem: SkinProblem) -> list[Choice]:
 
 
 def seconds_in_words(choice: Choice) -> str:
-    return f"{choice.seconds:.2g} s" if math.isfinite(choice.seconds) else "cost not known"
+    return f"{choice.seconds:.2g} s" if math.isfinite(choice.seconds) else "cost unknown"
 
 
 def solve(
@@ -175,7 +175,7 @@ def solve(
     if solver != "auto" and solver not in WHERE:
         raise SceneError(f"solver is '{solver}'; use auto or one of {', '.join(WHERE)}")
     check_rest(problem)
-    # Points off the body would make every solver refuse.
+    # With points off the body every solver would refuse.
     points_on_face(body, problem.at)
     cut, law = 0.0, max(sheet.material.series_error for sheet in body.sheets)
     if whole or not is_pressed(load):
@@ -186,7 +186,7 @@ def solve(
         return at_rest(problem)
     if solver == "auto":
         if resolution:
-            raise SceneError(f"{', '.join(resolution)}: resolutions belong to one solver; choose it with solver=")
+            raise SceneError(f"{', '.join(resolution)}: resolutions apply to one solver; choose it with solver=")
         options = ranking(problem)
         able = [choice for choice in options if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
@@ -246,7 +246,7 @@ def _by_name(name: str, problem: SkinProblem, resolution: dict[str, Any]) -> Mot
     own = list(inspect.signature(run).parameters)[1:]
     for key in resolution:
         if key not in own:
-            raise SceneError(f"solver '{name}' has no '{key}'; it takes {', '.join([*COMMON, *own])}")
+            raise SceneError(f"solver '{name}' has no '{key}'; allowed: {', '.join([*COMMON, *own])}")
     return run(problem, **resolution)
 
 
@@ -315,8 +315,8 @@ def check_rest(problem: SkinProblem) -> None:
     if float(times[0]) > last + LATE * period:
         raise SceneError(
             f"times begin {float(times[0]) - last:.3g} s after the last change of the load, {LATE:g} or more "
-            "periods of the body, but without damping it still rings. Use palmfield.skin.static for the static "
-            "solution, add a branch or a viscosity to the material, or give times from the load on"
+            "periods of the body, but it still oscillates, because it has no damping. Use palmfield.skin.static for "
+            "the static solution, add a branch or a viscosity to the material, or give times from the load on"
         )
 
 

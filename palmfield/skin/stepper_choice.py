@@ -37,21 +37,21 @@ class LayerWork(NamedTuple):
     laws: int = 1
 
 
-def chosen(requested: str, work: LayerWork, asked: str) -> StepperChoice:
+def chosen(requested: str, work: LayerWork, reason: str) -> StepperChoice:
     """The stepper on the wedges of a scene; requested: of key `solver`; asked: why, in words, where that names one.
 
     Raises SceneError where a reduced model or modes are requested but impossible.
     """
-    missing = {"modal": ("modes for every load", work.modal_refusal), "reduced": ("small model", work.refusal)}
+    missing = {"modal": ("modes for every load", work.modal_refusal), "reduced": ("reduced model", work.refusal)}
     what, why_not = missing.get(requested, ("", None))
     if why_not is not None:
         raise SceneError(f"there is no {what}: {why_not}: set it to auto", setting="solver")
     choices = scene_choices(*work)
     seconds = {choice.name: choice.seconds for choice in choices}
     if requested != "auto":
-        name, why = requested, asked
+        name, why = requested, reason
     elif work.refusal is None:
-        # For a predicted load, a reduced model for it alone is smaller than general modes
+        # For a predicted load, its reduced model is smaller than general modes
         small_s, whole_s = seconds["reduced"], seconds["wedges"]
         name = "reduced" if small_s < whole_s else "wedges"
         why = f"the load is predictable; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"

@@ -93,7 +93,7 @@ def test_a_missed_accuracy_is_solved_finer_and_a_lasting_miss_is_said(monkeypatc
         ({"times": [np.nan]}, "times of shape"),
         ({"at": [0.0, 0.0]}, "at of shape"),
         ({"at": [[np.inf, 0.0]]}, "at of shape"),
-        ({"step_s": 1e-4}, "step_s: resolutions belong to one solver"),
+        ({"step_s": 1e-4}, "step_s: resolutions apply to one solver"),
     ],
 )
 def test_bad_arguments_are_named(changes: dict[str, object], words: str) -> None:
@@ -142,7 +142,7 @@ def test_a_solver_that_cannot_price_a_problem_leaves_it_to_others() -> None:
     assert ranked[0].name == "lateral_waves" and ranked[0].refusal is None
     assert any(choice.refusal and "accuracy" in choice.refusal for choice in ranked)
     with pytest.raises(
-        SceneError, match="solver 'lateral_waves' has no 'order'; it takes accuracy, accuracy_of, device"
+        SceneError, match="solver 'lateral_waves' has no 'order'; allowed: accuracy, accuracy_of, device"
     ):
         solve(ENDLESS, HELD, [0.01], CENTRE, solver="lateral_waves", device="cpu", order=3)
 
@@ -263,7 +263,7 @@ def test_a_cost_that_cannot_be_computed_ends_no_run(monkeypatch: pytest.MonkeyPa
             assert {choice.name for choice in able if choice.seconds == np.inf} == spoilt & {c.name for c in able}
             assert ranked[: len(able)] == able and (able[0].name == "wedges" or len(spoilt) == len(module.WHERE))
     motion = solve(DISC, HELD, [2e-3], CENTRE, accuracy=0.3, device="cpu")
-    assert "cost not known" in motion.solver
+    assert "cost unknown" in motion.solver
 
 
 @pytest.mark.parametrize("accuracy", [0.002, 0.03, 0.05, 0.3])

@@ -100,7 +100,7 @@ def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: 
         columns = []
         for sign, depth in ((1.0, z), (-1.0, h - z)):
             for w in waves(depth):
-                # The mirror image z -> h - z keeps u_x and turns u_z round.
+                # The mirror image z -> h - z keeps u_x and reverses u_z.
                 columns.append(
                     {
                         "x": w["x"],

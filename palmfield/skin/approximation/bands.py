@@ -35,7 +35,7 @@ def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
     times: Float = start + step * np.arange(count, dtype=np.float64)
     course = course_at(load, times)
     energy = np.abs(np.fft.rfft(np.concatenate([np.zeros(count), course]))) ** 2
-    # Every rate except the first also represents its negative
+    # Each rate except the first also represents its negative
     energy[1:] *= 2.0
     rates = np.fft.rfftfreq(2 * count, step)
     low = 1.0 / length
@@ -48,7 +48,7 @@ def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
         if total > 0.0:
             result.append((float(rates[inside] @ energy[inside]) / total, total))
     frequencies, energies = np.array(result).reshape(-1, 2).T
-    # The lowest band is the effect of a steady push, which ends only with the window
+    # The lowest band contains the response to a steady load, which lasts to the end of the window
     return np.where(frequencies < low, 0.0, frequencies), energies
 
 

@@ -56,12 +56,12 @@ def choose_sizes(
         share, layers = 0.58, 3
     else:
         share, layers = 0.44 * math.sqrt(accuracy / 0.01), 4
-    # The coarsest good mesh has 0.43 of a wavelength under the spot and 1.07 at the rim, where waves are weak.
+    # The coarsest accurate mesh has edges of 0.43 wavelengths under the spot and 1.07 at the rim, where waves are weak.
     fine = min(share * fwhm_m, 0.43 * wavelength)
     coarse = max(fine, min(2.5 * fine, wavelength))
     edges = np.concatenate([[0.0], np.cumsum(GROWTH ** np.arange(layers))])
     step = math.sqrt(2.0 * min(accuracy, 0.05)) / (2.0 * math.pi * max_frequency_Hz)
-    # Out and back the wave must fall to half the target error; an elastic layer needs an explicit radius.
+    # A wave to the rim and back must decay to half the target error; an elastic layer needs an explicit radius.
     away = 0.5 * length * math.log(2.0 / accuracy) if math.isfinite(length) else 4.0 * wavelength
     return fine, coarse, 1.2 * fwhm_m, edges / edges[-1], step, max(4.0 * fwhm_m, away)
 

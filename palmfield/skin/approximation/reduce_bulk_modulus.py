@@ -63,7 +63,7 @@ def reduce_bulk_modulus(
                 if change <= SHARE * accuracy:
                     return result, change
         except SceneError:
-            # Undamped waves: that layer gives no estimate
+            # A layer with undamped waves gives no estimate
             return body, 0.0
     return body, 0.0
 
@@ -99,7 +99,7 @@ def relative_change(body: Body, load: Load, end_s: float, at: Float) -> Callable
     def change(soft: Material) -> float:
         near = centre_responses(frequencies[counted], soft, depth, width, away, base, 1e-5)
         difference, size = (energies[counted] @ np.abs(values) ** 2 for values in (near - exact, exact))
-        # Far off only the numerical error of the integral remains
+        # At large distances only the numerical error of the integral remains
         return float(np.sqrt(difference / np.maximum(size, FAR**2 * size[0])).max())
 
     return change

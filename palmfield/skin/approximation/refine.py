@@ -124,13 +124,13 @@ def refine_until_converged(
             reach_error, coarse = difference(wider, coarse) / WIDER, wider
     elif isinstance(body, Layer) and body.side == "absorbing":
         smaller = run(now, ratio_of(body, now.sizes), SHRINK)
-        # The same triangles: no belt could be removed.
+        # The triangles are equal, so no outer ring was removed.
         taken = smaller.triangles < coarse.triangles
         reach_error = BELT * difference(coarse, smaller) if taken else np.full(3, UNKNOWN)
     now, coarse, rows_error = refine_in_depth(body, now, run, coarse, accuracy, pinned, judged)
     fine = run(now)
     for _ in range(ROUNDS):
-        # Small bodies have the same few elements for many sizes, or nearly so
+        # Small bodies have equal or nearly equal meshes of few elements for many sizes
         if pinned or fine.triangles >= ALIKE * coarse.triangles:
             break
         now = replace(now, sizes=resized(now.sizes, 1.0 / ratio_of(body, now.sizes), 1.0))
@@ -139,7 +139,7 @@ def refine_until_converged(
     left = max(accuracy - taken - float(rows_error[judged] + reach_error[judged]), 0.2 * accuracy)
     for _ in range(ROUNDS):
         room = min(FINEST_RATIO, (MOST_DOFS / fine.dofs) ** (1.0 / 3.0))
-        # Rounded, so that another unit of load does not make another mesh
+        # Rounded, so that the mesh does not depend on the unit of the load
         ratio = max(
             ratio_of(body, now.sizes), round(min((float(mesh_error[judged]) / (0.8 * left)) ** (1.0 / 3.0), room), 2)
         )
@@ -167,7 +167,7 @@ def refine_in_depth(
         ratio = ratio_of(body, now.sizes)
         row, deepest = 0.5 * min(now.sizes.row_m, 0.5 * depth_of(body) / ratio), 0.7 * now.sizes.deepest_row_m
         thin = replace(now, sizes=replace(now.sizes, row_m=row, deepest_row_m=deepest))
-        # A body of many sheets has a row for each as it is
+        # A body of many sheets already has a row for each sheet
         while rows_below(body, thin.sizes.scaled(ratio)) <= coarse.rows:
             row, deepest = 0.5 * row, 0.5 * deepest
             thin = replace(now, sizes=replace(now.sizes, row_m=row, deepest_row_m=deepest))

@@ -51,14 +51,14 @@ def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: f
     away = cKDTree(np.concatenate([path, requested])).query(here)[0]
     inside = away <= distance
     if len(path) == 0 or cKDTree(path).query(requested)[0].max() > distance:
-        # Points farther off move by what gets there on a straight way
+        # The motion of farther points is that of waves on a straight path
         marks = np.concatenate([path, requested])
         inside = np.all((here >= marks.min(axis=0) - distance) & (here <= marks.max(axis=0) + distance), axis=1)
     kept = inside[patch.faces].any(axis=1)
     if kept.all() or not kept.any() or face_components(patch.faces[kept]).max() > 0:
         return body, load, 0.0
     if not isinstance(load, Spot):
-        # Points without pressure stay where they bound it
+        # Points without pressure at the boundary of the load are kept
         near = cKDTree(path).query(load.points[:, :2])[0] <= distance
         load = replace(
             load, points=load.points[near], weights_m2=load.weights_m2[near], pressure_Pa=load.pressure_Pa[:, near]

@@ -119,7 +119,7 @@ def assemble(
     if side == "absorbing" and matched_Hz is None:
         raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
     if matched_Hz is not None and not 0.0 < matched_Hz < np.inf:
-        # Before the matrices, which are made at first use
+        # Checked before the matrices, which are made at first use
         raise SceneError(f"absorbing sides: frequency is {matched_Hz} Hz; give one above 0")
     held_base: BaseKind = "free" if isinstance(below.base, Springs) else below.base
     directions = _free_directions(mesh, held_base, side, below.levels)
@@ -197,7 +197,7 @@ def _sums(
             blocks += _by_row(mesh, bulk)[..., None, None] * volumetric
         sums.relax(next(row for row in own if row), pattern.blocks(blocks))
     if below.sheets or springs != Springs(0.0, 0.0) or shear_spring > 0.0:
-        # Few scenes have anything there
+        # Most scenes have none of these terms
         from palmfield.skin.fem.foundation import BaseFace, rim_dashpots, sheet_mass, sheet_stiffness
 
         face, first, degree = BaseFace(mesh), 3 * int(mesh.base[0]), below.degree
@@ -267,7 +267,7 @@ def _supported(mesh: WedgeMesh, base: str, side: str, springs: Springs) -> bool:
         return True
     if springs.normal_Pa_m > 0.0 and (springs.tangential_Pa_m > 0.0 or side == "roller"):
         return True
-    # A slippery base round a closed body, or with rollers at the sides of a flat one, leaves only spins without drive.
+    # A frictionless base round a closed body, or under one with roller sides, allows only rotations, without load.
     return base == "free_slip" and (side == "roller" or not len(mesh.side))
 
 

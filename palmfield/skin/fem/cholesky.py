@@ -92,7 +92,7 @@ class Cholesky:
         factor, trunk, threads = self._factor, self._factor.trunk, min(cores(), len(self._down))
         moved = np.zeros((factor.size + 1, columns.shape[1]))
         moved[factor.place] = columns
-        # Contribution of a branch to the right side of the trunk: two branches must not write there at once
+        # Contribution of a branch to the right side of the trunk, which branches must not write at the same time
         taken = [np.zeros((factor.size + 1 - trunk.first, columns.shape[1])) for _ in factor.branches]
         with one_blas_thread:
             apart = zip(factor.branches, taken, strict=True)

@@ -90,7 +90,7 @@ def _piece(k: Float, f_Hz: float, material: Material, h: float, degree: int) -> 
     """Condensed stiffness of one polynomial piece of height h [m], shape (n, 4, 4)."""
     shear, bulk = complex_shear(material, f_Hz), complex_bulk(material, f_Hz)
     mass, slope, mixed, projected = _by_rise(degree, h)
-    # z points up while nodes run down: a derivative by z is minus one by depth.
+    # z points up and nodes are numbered downwards, so a derivative by z is minus that by depth.
     wave = k[:, None, None]
     lame = bulk - 2.0 / 3.0 * shear
     inertia = material.density_kg_m3 * (2.0 * math.pi * f_Hz) ** 2 * mass

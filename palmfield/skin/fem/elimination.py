@@ -134,12 +134,12 @@ def branches(supernodes: list[Supernode]) -> list[list[int]]:
         trunk.append(largest)
     result = []
     for members in best[2]:
-        todo, found = list(members), []
+        todo, group = list(members), []
         while todo:
             number = todo.pop()
-            found.append(number)
+            group.append(number)
             todo.extend(children[number])
-        result.append(sorted(found))
+        result.append(sorted(group))
     return [*result, sorted(best[1])]
 
 
@@ -181,7 +181,7 @@ def eliminate(
     def go(numbers: Sequence[int], threads: int) -> None:
         for number in numbers:
             node = supernodes[number]
-            # In a fixed order, whichever thread was first
+            # In a fixed order, independent of the order of threads
             before = [(supernodes[child].rows, rest) for child, rest in sorted(left[number], key=lambda one: one[0])]
             left[number].clear()
             panel, rest = _front(matrix, node, before)
@@ -202,8 +202,8 @@ def eliminate(
 
     threads = min(cores(), BRANCHES)
     with one_blas_thread:
-        *apart, trunk = groups
-        share([(partial(go, numbers, 1),) for numbers in apart], threads)
+        *branches, trunk = groups
+        share([(partial(go, numbers, 1),) for numbers in branches], threads)
         go(trunk, threads)
 
 

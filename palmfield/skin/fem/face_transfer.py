@@ -30,7 +30,7 @@ class FaceTransfer:
         columns = (len(rule) * place.triangles[:, None] + np.arange(len(rule))).ravel()
         count = len(rule) * len(mesh.surface_triangles6)
         self.pressure = sparse.csr_matrix((values.ravel(), (rows, columns)), shape=(len(points), count))
-        # The columns of the map are orthonormal, so that its transpose gives the unknowns of nodal displacements
+        # The columns of the map are orthonormal, so its transpose gives the unknowns of nodal displacements
         unknowns = sparse.csr_matrix(system.dof_map.T)
         self.motion = sparse.csr_matrix(unknowns[:, :nodes] @ sparse.kron(weights, sparse.identity(3), format="csr"))
         self._below = unknowns[:, nodes:]

@@ -94,7 +94,7 @@ def sheet_stiffness(face: BaseFace, height_m: float, degree: int) -> tuple[spars
     Both of shape ((degree + 1) 3 S, (degree + 1) 3 S); strain energy as in element.py: G (2 e:e - 2/3 tr^2), K tr^2.
     """
     mass, slope, mixed, projected = line_matrices(degree, height_m)
-    # Nodes run down, the normal points up: a derivative along it is minus one by depth.
+    # The normal points up and nodes are numbered downwards, so a derivative along it is minus that by depth.
     up = -mixed
     cross = sparse.kron(up.T, face.product("along", "slope"))
     trace = sparse.kron(up, face.product("stretch", "out"))
@@ -129,7 +129,7 @@ def rim_dashpots(mesh: WedgeMesh, material: Material, height_m: float, degree: i
     edges = rim_edges(mesh)
     ends = mesh.nodes[edges + int(mesh.base[0])]
     length = np.linalg.norm(ends[:, 2] - ends[:, 0], axis=1)
-    # Quadratic functions on a line, their middle in place 1: int N_i N_j over a unit length.
+    # Integrals of N_i N_j over a unit length, for quadratic functions on a line with the middle node in place 1.
     line = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]]) / 30.0
     blocks = material.density_kg_m3 * match_speed(material, f_Hz) * np.einsum("e,ij->eij", length, line)
     lateral = scatter(edges, np.einsum("eij,ab->eiajb", blocks, np.eye(3)), 3 * mesh.surface_nodes)

@@ -80,7 +80,7 @@ def _face(body: Body, spacing_m: float) -> tuple[Float, Float, int]:
     rings = max(1, math.ceil(radius / spacing_m - ROUND_OFF))
     places, areas = [], []
     for ring in range(rings):
-        # Six cells in the first ring, so that each is about as long as it is wide
+        # Six cells in the first ring, so that length and width of cells are about equal
         count = round(2.0 * math.pi * (ring + 0.5)) if ring else 6
         r = radius * np.sqrt((1.0 - inner) * (ring / rings) ** 2 + inner * ((ring + 1.0) / rings) ** 2)
         angle = 2.0 * math.pi * (np.arange(count)[:, None] + inner) / count

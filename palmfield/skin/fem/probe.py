@@ -1,7 +1,7 @@
 """Motion of the skin surface, at its nodes and at given points, from the unknowns of a layer."""
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its parts at first use
 from scipy import sparse
 
 from palmfield.errors import SceneError
@@ -62,7 +62,7 @@ def closest_on_triangles(corners: Float, points: Float) -> tuple[Int, Float]:
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max()
     tree = scipy.spatial.cKDTree(centroids)
     nearest, _ = tree.query(points)
-    # The nearest centroid lies on the surface, so the centroid of the closest triangle is within `reach` of that far.
+    # The nearest centroid is on the surface, so the centroid of the closest triangle is at most `reach` farther.
     lists = tree.query_ball_point(points, nearest + reach)
     counts = np.array([len(result) for result in lists])
     candidates = np.concatenate([np.asarray(result, dtype=np.int64) for result in lists])

@@ -51,11 +51,11 @@ def spread_forces(
     Its pressure falls from the middle as a parabola does, and its force is that of the area; a column is empty where no
     place lies on the disc. Arguments as of `between_points`; weights_m2: areas of the places, shape (q,)
     """
-    # The parabola whose spread is that of the disc
+    # Parabola with the second moment of the disc
     reach = np.sqrt(1.5 * areas_m2 / np.pi)
-    found = cKDTree(places).query_ball_point(points, reach)
-    columns = np.repeat(np.arange(len(points)), [len(one) for one in found])
-    rows = np.concatenate([np.asarray(one, dtype=int) for one in found])
+    neighbours = cKDTree(places).query_ball_point(points, reach)
+    columns = np.repeat(np.arange(len(points)), [len(one) for one in neighbours])
+    rows = np.concatenate([np.asarray(one, dtype=int) for one in neighbours])
     far = np.linalg.norm(places[rows] - points[columns], axis=1) / reach[columns]
     shape = np.where((facing[rows] * normals[columns]).sum(axis=1) > SAME_SIDE, np.maximum(1.0 - far**2, 0.0), 0.0)
     force = np.bincount(columns, shape * weights_m2[rows], len(points))
@@ -85,11 +85,11 @@ def _shares(
     flat = _in_plane(points[chosen] - places[:, None], facing) / step[:, None, None]
     corners, shares = _triangle(flat, far <= LONGEST * step[:, None])
     inside = corners[:, 0] >= 0
-    beside = ~inside & (far[rows, first] <= DISC * step)
+    outside = ~inside & (far[rows, first] <= DISC * step)
     three = np.take_along_axis(chosen[inside], corners[inside], axis=1)
-    row = np.concatenate([np.repeat(rows[inside], 3), rows[beside]])
-    column = np.concatenate([three.ravel(), chosen[beside, first[beside]]])
-    value = np.concatenate([shares[inside].ravel(), np.ones(int(beside.sum()))])
+    row = np.concatenate([np.repeat(rows[inside], 3), rows[outside]])
+    column = np.concatenate([three.ravel(), chosen[outside, first[outside]]])
+    value = np.concatenate([shares[inside].ravel(), np.ones(int(outside.sum()))])
     return sparse.coo_matrix((value, (row, column)), (len(places), len(points))).tocsr()
 
 

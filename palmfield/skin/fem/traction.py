@@ -142,7 +142,7 @@ class Net:
     def between(self, places: Float, count: int) -> sparse.csr_matrix:
         """Shares of the pressures at `count` points in that at places [m] (q, 3), csr, shape (q, count)."""
         net = self.delaunay
-        # Outer places search among all triangles, one by one
+        # Points outside are searched among all triangles, one by one
         low, high = net.min_bound, net.max_bound
         near = np.flatnonzero(np.all((places[:, :2] >= low) & (places[:, :2] <= high), axis=1))
         hull = ConvexHull(net.points).equations
@@ -173,8 +173,8 @@ def seen_from_above(load: Traction) -> Net | None:
     longest = np.linalg.norm(sides, axis=2).max(axis=1)
     steep = longest > STEEPEST * np.linalg.norm(sides[..., :2], axis=2).max(axis=1)
     covered = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)[~steep].sum()
-    given = float(load.weights_m2.sum())
-    if steep.mean() > WRAPPED or not 0.5 * given < covered < 2.0 * given:
+    total = float(load.weights_m2.sum())
+    if steep.mean() > WRAPPED or not 0.5 * total < covered < 2.0 * total:
         return None
     return Net(points, owner, net, longest, steep)
 
@@ -189,7 +189,7 @@ def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
     outer, place = np.unique(edges, return_inverse=True)
     normal = np.zeros((len(outer), 2))
     np.add.at(normal, place.ravel(), 0.5 * np.repeat(out, 2, axis=0))
-    # A corner is as far from both of its edges
+    # A corner has the same distance to both of its edges
     size2 = np.maximum((normal**2).sum(axis=1, keepdims=True), 0.25)
     return outer.astype(np.int32), net.points[outer] + 0.5 * spacing[outer, None] * normal / size2
 
@@ -211,7 +211,7 @@ class PressureHistory:
             self.points, self.operator = quadrature.points, quadrature.operator
             self.centres = load.centres()
             if not np.ptp(self.centres, axis=0).any():
-                # A spot at rest is one pattern that grows and falls.
+                # A stationary spot is one pattern with a varying level.
                 self._shape = self._bell(self.centres[0])
         else:
             self.operator = sampled(mesh, system, load)

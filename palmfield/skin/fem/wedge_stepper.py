@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 from scipy import sparse
 
-# SciPy's products take ten Python calls around these, which add in place: y += A x.
+# These functions of SciPy compute y += A x in place; its public products need ten more Python calls.
 from scipy.sparse._sparsetools import csr_matvec
 
 from palmfield.device import filled, recorded
@@ -76,12 +76,12 @@ class WedgeStepper(SkinStepper):
         factor = self._factor = block_factor(scheme.effective(), system.elimination_order())
         self._threads = min(cores(), max(1, factor.stored // STORED_PER_THREAD))
         self._alpha_f = scheme.alpha_f
-        left_out, *others = sorted(scheme.terms, key=lambda term: -term.matrix.nnz)
-        offset = left_out.row / left_out.coefficient
+        largest, *others = sorted(scheme.terms, key=lambda term: -term.matrix.nnz)
+        offset = largest.row / largest.coefficient
         self._into_sums = np.array([*(term.row - term.coefficient * offset for term in others), offset])
         parts = [(part.first, part.last) for part in (*factor.branches, factor.trunk)]
         matrices = [_placed(term.matrix, factor, rows=True) for term in others]
-        # Threads take a branch each: one must not read what another is changing
+        # Each thread computes a branch, and must not read data that another thread changes
         assert not any(_coupled(matrix, parts[:-1]) for matrix in matrices)
         self._others = grouped_rows(matrices, parts)
         self._inputs = _placed(sparse.csr_matrix(inputs, dtype=np.float64), factor, rows=True, columns=False)
@@ -95,7 +95,7 @@ class WedgeStepper(SkinStepper):
         mix = self._alpha_f * loads.first + (1.0 - self._alpha_f) * loads.last
         worlds, substeps, _ = mix.shape
         seen = None if observe is None else np.zeros((worlds, substeps, 2, observe.count))
-        # In sequence: the matrices of a world come through the cache once a substep, whichever other worlds are stepped
+        # In sequence, because the matrices pass through the cache once per substep for each world in any case
         for i in range(worlds):
             self._step_one(state[i], loads.pressure_Pa[i], mix[i], observe, None if seen is None else seen[i])
         return seen
@@ -151,7 +151,7 @@ class WedgeStepper(SkinStepper):
         matrix, groups = self._others
         rows, sums = _Numbers((self.state_rows, size)), _Numbers((len(self._into_sums), size))
         forces, weights = _Numbers((patterns, size)), _Numbers((patterns,))
-        # Padding of rows below a supernode is the place after the last: written by a sum of zeros, read as 0
+        # Rows below a supernode are padded by the index after the last, where sums of zeros are written and read
         padded = size + kernels.WIDTH
         solution = _Numbers((padded,))
         step = filled(

@@ -241,14 +241,14 @@ def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
         raise SceneError(f"hand skin: site '{site}' is unknown; use one of {', '.join(DEPTH_M)}")
     depth = DEPTH_M[site] if depth_m is None else depth_m
     whole = preset(site)
-    given = [tissue.thickness_m[site] for tissue in TISSUES]
-    rest = depth - sum(thickness for thickness in given if thickness is not None)
+    thicknesses = [tissue.thickness_m[site] for tissue in TISSUES]
+    rest = depth - sum(thickness for thickness in thicknesses if thickness is not None)
     if not rest > 0.0:
         raise SceneError(
             f"hand skin: depth is {depth} m; allowed: more than {depth - rest:.4f} m, the layers above the subcutis"
         )
     sheets = []
-    for tissue, thickness in zip(TISSUES, given, strict=True):
+    for tissue, thickness in zip(TISSUES, thicknesses, strict=True):
         shear = tissue.young_Pa / 3.0
         material = prony(
             f"{site}, {tissue.name}",
@@ -265,10 +265,10 @@ def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
 def varied(entry: Preset) -> list[Material]:
     """The material of the preset at the low and the high end of each of its ranges, one range at a time."""
     materials = []
-    for known in entry.ranges:
-        for value in (known.low, known.high):
-            name = f"{entry.material.name}, {known.parameter} {value:g}"
-            materials.append(_with_value(entry.material, known.parameter, value, name))
+    for bounds in entry.ranges:
+        for value in (bounds.low, bounds.high):
+            name = f"{entry.material.name}, {bounds.parameter} {value:g}"
+            materials.append(_with_value(entry.material, bounds.parameter, value, name))
     return materials
 
 
@@ -279,9 +279,9 @@ def softest_and_stiffest(entry: Preset) -> tuple[Material, Material] | None:
     ends = []
     for end in ("low", "high"):
         material = entry.material
-        for known in entry.ranges:
+        for bounds in entry.ranges:
             name = f"{entry.material.name}, ranges at their {end} ends"
-            material = _with_value(material, known.parameter, getattr(known, end), name)
+            material = _with_value(material, bounds.parameter, getattr(bounds, end), name)
         ends.append(material)
     return ends[0], ends[1]
 

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its parts at first use
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material, complex_bulk, complex_shear, shear_wave

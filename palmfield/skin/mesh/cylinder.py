@@ -66,7 +66,7 @@ def _tube(radius_m: float, length_m: float, edge_m: tuple[float, float]) -> tupl
     """Vertices ring by ring from low x, faces counter-clockwise from outside, and how many a ring has."""
     around = max(FEWEST, math.ceil(2.0 * math.pi * radius_m / edge_m[0]))
     rings = max(2, math.ceil(length_m / edge_m[1])) + 1
-    # Every other ring is turned by half an edge, so that triangles have no direction
+    # Every other ring is rotated by half an edge, so that the mesh has no preferred direction
     turn = np.arange(around) + 0.5 * (np.arange(rings) % 2)[:, None]
     angle = 2.0 * math.pi * turn / around
     along = np.broadcast_to(np.linspace(-0.5, 0.5, rings)[:, None] * length_m, angle.shape)

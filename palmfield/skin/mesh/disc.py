@@ -69,7 +69,7 @@ def _ringed(radius_m: float, fine_m: float, coarse_m: float, fine_radius_m: floa
         target = (coarse_m - fine_m) / (radius_m - fine_radius_m)
         return fine_m + min(target, STEEPEST) * (r - fine_radius_m)
 
-    # An equilateral ring is sqrt(3)/2 edges wide; stretch all rings alike so that the last one is the rim.
+    # A ring of equilateral triangles is sqrt(3)/2 edges wide; all rings are scaled so that the last one is the rim.
     radii = [0.0]
     while radii[-1] < radius_m:
         radii.append(radii[-1] + math.sqrt(0.75) * edge(radii[-1]))

@@ -65,7 +65,7 @@ def _dissect(triangles: Int, middles: Float, piece: Int, pending: np.ndarray) ->
             offset[triangles[near]] = True
             common = np.unique(triangles[far])
             common = common[offset[common] & pending[common]]
-            # Uneven halves cost too.
+            # Unequal halves are penalised too.
             if len(common) * (1.0 + abs(share - 0.5)) < least:
                 least, parts, separator = len(common) * (1.0 + abs(share - 0.5)), (near, far), common
     pending[separator] = False

@@ -74,7 +74,7 @@ def extrude(patch: Patch, fractions: Float) -> WedgeMesh:
     columns = patch.vertices + (shares[:, None] * patch.depth)[..., None] * patch.inward
     nodes = np.concatenate([columns, columns[:, edges].mean(axis=2)], axis=1).reshape(-1, 3)
 
-    # Element levels run from the base side to the surface side, so that zeta points outwards and det J > 0.
+    # Element levels are numbered from base to surface, so that zeta points outwards and det J > 0.
     stacks = [
         np.concatenate([triangles6 + (2 * layer + down) * surface_nodes for down in (2, 1, 0)], axis=1)
         for layer in range(layers)

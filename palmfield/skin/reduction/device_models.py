@@ -40,7 +40,7 @@ class DeviceModes:
         numbers, square = kernels.of_rows(self._rows)
         self._advance: Any = wp.array(advance[: stepper.order], dtype=square, device=device)
         self._inputs: Any = wp.array(stepper.inputs[: stepper.order], dtype=numbers, device=device)
-        self._felt: Any = wp.array(stepper.felt, dtype=wp.float64, device=device)
+        self._feedback: Any = wp.array(stepper.feedback, dtype=wp.float64, device=device)
         self._none: Any = wp.zeros((1, 1), dtype=wp.float64, device=device)
         self._coupling: Any = wp.array(stepper.coupling, dtype=wp.float64, device=device)
 
@@ -68,13 +68,13 @@ class DeviceModes:
 
     def _pushes(self, state: Any, forces: Any, substep: int) -> Calls:
         """Return launches that add the coupling forces between modes to the forces of a substep."""
-        worlds, count, (rows, columns) = len(state), len(self.stepper.felt), self._coupling.shape
+        worlds, count, (rows, columns) = len(state), len(self.stepper.feedback), self._coupling.shape
         chunks = -(-rows // CHUNK)
         mixed: Any = wp.zeros((worlds, rows), dtype=wp.float64, device=self._device)
         parts: Any = wp.zeros((worlds, chunks, columns), dtype=wp.float64, device=self._device)
         inputs = [self._coupling, mixed, self._none, CHUNK, parts]
         return [
-            launch(kernels.mixed_rows, (worlds, count, columns), [self._felt, state, mixed], self._device),
+            launch(kernels.mixed_rows, (worlds, count, columns), [self._feedback, state, mixed], self._device),
             launch(kernels.state_products, (worlds, chunks, columns), inputs, self._device),
             launch(kernels.add_chunks, (worlds, self.stepper.order), [parts, substep, forces], self._device),
         ]
@@ -137,8 +137,8 @@ class _Products:
         blocks, chunks = -(-patterns // kernels.ROWS) * worlds, -(-points // CHUNK)
         parts: Any = wp.zeros((chunks, blocks * kernels.ROWS, columns), dtype=wp.float32, device=self._device)
         mixed: Any = wp.zeros((worlds, rows, columns), dtype=wp.float64, device=self._device)
-        given = whole_numbers(np.arange(points), self._device) if memory.chosen else self._points
-        inputs = [memory.counts, memory.pressure, given, self._matrix, CHUNK, parts]
+        selected = whole_numbers(np.arange(points), self._device) if memory.chosen else self._points
+        inputs = [memory.counts, memory.pressure, selected, self._matrix, CHUNK, parts]
         calls = [launch(kernels.pressure_products, (blocks, chunks, columns), inputs, self._device)]
         inputs = [memory.counts, memory.weights, parts, mixed]
         return [*calls, launch(kernels.mixed_products, mixed.shape, inputs, self._device)], mixed

@@ -56,8 +56,8 @@ class Krylov:
         count = 2 + len(self.laws)
         self._scales = np.array([shift, 1.0, *(shift for _ in self.laws)])
         self.course = load if isinstance(load, Course) else None
-        self._known = np.zeros((count, 0, 0))
-        self._known_load = np.zeros((0 if self.course is None else len(self.course.rates), 0))
+        self._projected = np.zeros((count, 0, 0))
+        self._projected_load = np.zeros((0 if self.course is None else len(self.course.rates), 0))
         if isinstance(load, Course):
             drive = self._driven(load.starts)
             force = load.shapes @ (load.mix @ drive)
@@ -117,12 +117,12 @@ class Krylov:
         coordinates = np.zeros((self.order, result.shape[1]))
         rest = result
         for _ in range(2):
-            known = _adjoint(self.vectors, heavy)
-            coordinates += known
-            rest = rest - _times(self.vectors, known)
+            basis = _adjoint(self.vectors, heavy)
+            coordinates += basis
+            rest = rest - _times(self.vectors, basis)
             heavy = _times(mass, rest)
         squares, turn = np.linalg.eigh(rest.T @ heavy)
-        # For nearly parallel columns the difference is round-off of their squares.
+        # For nearly parallel columns the difference is a rounding error of their squares.
         kept = squares > max((SMALLEST * size) ** 2, PARALLEL * squares.max(initial=0.0))
         scale = turn[:, kept] / np.sqrt(squares[kept])
         new = rest @ scale
@@ -159,16 +159,16 @@ class Krylov:
         count, order = len(self._scales), self.order
         block = (self._scales[:, None, None] * self._block).reshape(count * order, -1)
         block = np.concatenate([block, self._load])
-        self._known = _padded(self._known, order)
-        known = np.concatenate([self._known.reshape(count * order, -1), self._known_load])
+        self._projected = _padded(self._projected, order)
+        basis = np.concatenate([self._projected.reshape(count * order, -1), self._projected_load])
         for _ in range(2):
-            block = block - known @ (known.T @ block)
+            block = block - basis @ (basis.T @ block)
         left, singular, _ = np.linalg.svd(block, full_matrices=False)
         left = left[:, singular > SMALLEST * singular.max(initial=0.0)]
         result = left[: count * order].reshape(count, order, -1)
         self._load = left[count * order :]
-        self._known = np.concatenate([self._known, result], axis=2)
-        self._known_load = np.concatenate([self._known_load, self._load], axis=1)
+        self._projected = np.concatenate([self._projected, result], axis=2)
+        self._projected_load = np.concatenate([self._projected_load, self._load], axis=1)
         self._block = result / self._scales[:, None, None]
 
 

@@ -64,9 +64,9 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
     basis = scipy.linalg.solve_triangular(shares[taken], examples[taken] * root, lower=True)
     values, turn = np.linalg.eigh(shares.T @ shares)
     values, turn = values[::-1], turn[:, ::-1]
-    left_out = np.sqrt(np.maximum(1.0 - np.cumsum(values) / size, 0.0))
+    omitted = np.sqrt(np.maximum(1.0 - np.cumsum(values) / size, 0.0))
     most = int((values > 1e-12 * values[0]).sum())
-    count = in_gap(np.sqrt(np.maximum(values[:most], 0.0)), int(np.searchsorted(-left_out, -tolerance)) + 1)
+    count = in_gap(np.sqrt(np.maximum(values[:most], 0.0)), int(np.searchsorted(-omitted, -tolerance)) + 1)
     flat = _orthonormal(turn[:, :count].T @ basis)
     chosen, shapes = _telling_points(flat, points), flat / root
     turned, triangle = np.linalg.qr(shapes[:, chosen].T)
@@ -117,15 +117,15 @@ def _products(examples: Float | Float32, root: Float) -> Float:
     return products
 
 
-def _taken(products: Float, left_out: float) -> tuple[Int, Float]:
+def _taken(products: Float, omitted: float) -> tuple[Int, Float]:
     """Return rows that represent a set of similar rows, (r,), and all rows in their orthonormal basis, (t, r).
 
     products: each row with each, (t, t), overwritten. left_out: share of their squares. The rows are found by a pivoted
     Cholesky factorisation.
     """
     squares = np.diagonal(products)
-    enough = max(left_out * squares.mean(), len(squares) * np.finfo(float).eps * squares.max())
-    # The matrix is symmetric: its transpose has the layout for LAPACK without a copy
+    enough = max(omitted * squares.mean(), len(squares) * np.finfo(float).eps * squares.max())
+    # The matrix is symmetric, and its transpose has the layout for LAPACK without a copy
     lower, pivots, rank, _ = scipy.linalg.lapack.dpstrf(products.T, tol=enough, lower=1, overwrite_a=1)
     taken = pivots - 1
     shares = np.empty((len(squares), rank))

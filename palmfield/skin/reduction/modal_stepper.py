@@ -68,7 +68,7 @@ def modal_body(
     depends_on: Sequence[Any],
     tolerance: float,
     blocks: int,
-    left_out: float,
+    omitted: float,
     step_s: float,
     points: int = POINTS,
 ) -> ModalBody:
@@ -77,14 +77,14 @@ def modal_body(
     surface: operator of the displacement that must be right, csr, (S, n).
     examples: pressures at the quadrature points [Pa], shape (t, q). depends_on: all data on which they depend.
     tolerance: relative share of the examples that the shapes may omit. points: number of points per shape.
-    blocks: of the space of the modes, at least 2. left_out: share of the motion that modes may omit, see `ritz_modes`.
+    blocks: of the space of the modes, at least 2. omitted: share of the motion that modes may omit, see `ritz_modes`.
     step_s: length of a substep [s], on which coupled modes depend.
     The result is stored in the cache (`palmfield.cache`).
     Raises SceneError if the layer can have no modes, or has too few unknowns.
     """
 
     def make() -> cache.Arrays:
-        # Imported here: cached modes need no factorisation
+        # Imported here, because cached modes need no factorisation
         from palmfield.skin.fem.factor import factorise
 
         reason = refusal(system)
@@ -106,8 +106,8 @@ def modal_body(
                 relaxed = loose.solve(nodal * shapes.sizes)
                 del loose
             factor = factorise(shifted(system), system.elimination_order())
-            asked = max(min(blocks, fitting), least)
-            modes = ritz_modes(system, factor, nodal, shapes.sizes, asked, left_out, surface, stiffened, relaxed)
+            block_count = max(min(blocks, fitting), least)
+            modes = ritz_modes(system, factor, nodal, shapes.sizes, block_count, omitted, surface, stiffened, relaxed)
             seen = quadrature.operator[:, shapes.points].toarray()
             values, vectors = np.linalg.eigh(seen.T @ factor.solve(seen))
             kept = np.cumsum(values) > COMPLIANCE_LEFT_OUT * values.sum()
@@ -115,11 +115,11 @@ def modal_body(
             forces = nodal.T @ modes.vectors
         return vars(modes) | vars(shapes) | {"forces": forces, "compliance": compliance}
 
-    wanted = tolerance, blocks, left_out, points, step_s
-    known = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, *wanted), make)
-    modes = RitzModes(**{field.name: known[field.name] for field in fields(RitzModes)})
-    shapes = LoadShapes(**{field.name: known[field.name] for field in fields(LoadShapes)})
-    return ModalBody(modes, shapes, known["forces"], known["compliance"])
+    options = tolerance, blocks, omitted, points, step_s
+    stored = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, *options), make)
+    modes = RitzModes(**{field.name: stored[field.name] for field in fields(RitzModes)})
+    shapes = LoadShapes(**{field.name: stored[field.name] for field in fields(LoadShapes)})
+    return ModalBody(modes, shapes, stored["forces"], stored["compliance"])
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class ModalStepper(SkinStepper):
     advance, inputs: matrix of a substep for the numbers of each mode, shape (at least r, rows, rows), and the increment
         by a force, (at least r, rows).
     padded: modes in a state including padding: at least r.
-    coupling, felt: modes act on one another in a substep by felt @ state, shape (c, rows) @ (rows, r'), row after row,
+    coupling, feedback: modes act on each other in a substep by feedback @ state, (c, rows) @ (rows, r'), by rows,
         times coupling, (c * r', r'); r' is at least r; c is 0 if each moves by itself.
     A state has a row of numbers of all modes each for displacement, velocity, acceleration and the internal
     displacement of every branch. Several worlds may be stepped at once.
@@ -167,13 +167,13 @@ class ModalStepper(SkinStepper):
         self.state_size = self.state_rows * self.padded
         self.advance, self.inputs = _propagators(scheme, self.padded)
         self._modes = filled(kernels.Modes(), advance=_in_groups(self.advance), inputs=_in_groups(self.inputs))
-        self.coupling, self.felt = _coupling(modes, scheme, len(parts), self.padded)
+        self.coupling, self.feedback = _coupling(modes, scheme, len(parts), self.padded)
         self._fit: Float32 = np.ascontiguousarray(shapes.fit.T, dtype=np.float32)
         self._back: Float32 = np.ascontiguousarray(shapes.shapes[:, shapes.points], dtype=np.float32)
         self._forces: Float32 = np.zeros((len(body.forces), self.padded), np.float32)
         self._forces[:, : self.order] = body.forces
         self._compliance: Float32 = np.ascontiguousarray(body.compliance, dtype=np.float32)
-        # A least squares fit removes part of the load outside the class: as many numbers as there are shapes
+        # A least-squares fit with one number per shape also reduces the part of the load outside the span
         count = len(shapes.points)
         self._hidden = count / max(count - len(shapes.sizes), 1)
         self._rooms: dict[tuple[int, int], list[_Room]] = {}
@@ -188,7 +188,7 @@ class ModalStepper(SkinStepper):
         worlds, substeps, _ = loads.first.shape
         seen = None if observe is None else np.empty((worlds, substeps, 2, observe.count), np.float32)
         mixed = self.mixed(loads)
-        # For the helper threads too: the number of BLAS threads applies to the whole process
+        # The number of BLAS threads applies to the whole process, including the helper threads
         with one_blas_thread:
             pushes = self.pushes(loads)
             if worlds == 1:
@@ -219,16 +219,16 @@ class ModalStepper(SkinStepper):
         room.launch()
         rows[...] = room.rows
         if seen is not None and observe is not None:
-            # As one product: NumPy multiplies stacks one by one, at a seventh of the speed
+            # One product, because NumPy multiplies stacks one by one, which is seven times slower
             motion = room.seen.reshape(-1, self.padded).astype(np.float32)
             np.matmul(motion, observe.single, out=seen[part].reshape(-1, observe.count))
         rooms.append(room)
 
     def pushes(self, loads: SurfaceLoads) -> Float32:
         """Force of each pattern on the modes, (w, k, r), or, if there are several, on the shapes, (w, k, m)."""
-        known = self._pushed
-        if loads.fixed and known is not None and known[0] is loads.pressure_Pa:
-            return known[1]
+        cached = self._pushed
+        if loads.fixed and cached is not None and cached[0] is loads.pressure_Pa:
+            return cached[1]
         shares: Float32 = loads.pressure_Pa.astype(np.float32, copy=False) @ self._fit
         if loads.first.shape[2] > 1:
             return shares
@@ -255,7 +255,7 @@ class ModalStepper(SkinStepper):
     def work(self, patterns: int, substeps: int) -> StepWork:
         points, shapes, modes, rows = len(self.points), len(self.body.shapes.sizes), self.order, self.state_rows
         dense = 2 * points * shapes + shapes * modes + points * self.body.compliance.shape[1]
-        # For coupled modes; too large for the memory of a multiprocessor, so each substep reads it again
+        # Matrix of coupled modes, too large for the memory of a multiprocessor, so each substep reads it again
         coupling = substeps * self.coupling.size
         own = modes * (rows * rows + rows)
         single, double = patterns * (dense + substeps * modes), substeps * own + coupling
@@ -281,7 +281,7 @@ class ModalStepper(SkinStepper):
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         matrix = checked_operator(operator, self.unknowns)
         seen = np.zeros((self.padded, matrix.shape[0]))
-        # Only the unknowns that the reader uses, because the product makes a copy in double precision
+        # Only the unknowns that the reader uses, because the product copies them in double precision
         read = np.unique(matrix.indices)
         seen[: self.order] = (matrix[:, read] @ self.body.modes.vectors[read]).T
         return Reader(matrix.shape[0], seen, seen.astype(np.float32))
@@ -305,7 +305,7 @@ class ModalStepper(SkinStepper):
 
     @property
     def coupled(self) -> bool:
-        return len(self.felt) > 0
+        return len(self.feedback) > 0
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
         """See SkinStepper; the pressure is not used."""
@@ -335,8 +335,8 @@ class ModalStepper(SkinStepper):
 
         def all_substeps() -> None:
             for force, substep in ends:
-                felt: Float32 = (self.felt @ rows).reshape(worlds, -1).astype(np.float32)
-                force += felt @ self.coupling
+                feedback: Float32 = (self.feedback @ rows).reshape(worlds, -1).astype(np.float32)
+                force += feedback @ self.coupling
                 substep()
 
         return _Room(forces[:, :, 0].swapaxes(0, 1), rows, seen[:, :, 0].swapaxes(0, 1), all_substeps)
@@ -365,8 +365,8 @@ def _coupling(modes: RitzModes, scheme: Scheme, laws: int, padded: int) -> tuple
     coupling = np.zeros((count, padded, padded), np.float32)
     coupling[:, :order, :order] = modes.coupling
     elastic = [-scheme.alpha_f * np.eye(scheme.state_rows)[0]]
-    felt: Float = modes.shares @ np.array([*elastic, *(term.row for term in scheme.terms[-laws:])])
-    return coupling.reshape(count * padded, padded), felt
+    feedback: Float = modes.shares @ np.array([*elastic, *(term.row for term in scheme.terms[-laws:])])
+    return coupling.reshape(count * padded, padded), feedback
 
 
 def _in_groups(values: Float) -> Any:

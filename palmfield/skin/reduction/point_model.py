@@ -53,7 +53,7 @@ class PointModel:
         """Return the static displacement under the force [m]. Raises SceneError for a body without support."""
         if not self.supported:
             raise SceneError(
-                "a static solution needs a support: neither base nor sides hold this body; bond the base, or fix a side"
+                "a static solution needs a support: base and sides leave this body free; bond the base, or fix a side"
             )
         return float(self.projection.moved(0.0, 0.0, [1.0] * len(self.projection.materials))[0].real)
 
@@ -161,12 +161,12 @@ def point_model(
         return result
 
     depends_on = system.made_of, [other.made_of for other in others], unit, read, shares, highest_Hz
-    known = cache.kept("point-model", depends_on, make)
+    stored = cache.kept("point-model", depends_on, make)
     systems = {"matrices": system} | {f"others_{number}": other for number, other in enumerate(others)}
     return [
         PointModel(
-            Projection(list(known[name]), list(each.materials), size * known["force"], known["read"]),
-            float(known["error"]),
+            Projection(list(stored[name]), list(each.materials), size * stored["force"], stored["read"]),
+            float(stored["error"]),
             each.supported,
         )
         for name, each in systems.items()

@@ -128,7 +128,7 @@ class Reduced:
         steps = np.diff(times)
         if forces.shape != (len(times), self.inputs.shape[1]) or not np.all(steps > 0.0):
             raise SceneError(f"forces {forces.shape} at {len(times)} times: give (t, {self.inputs.shape[1]}), rising t")
-        # Step lengths that differ only by round-off share their exponentials.
+        # Step lengths that differ only by rounding use the same exponentials.
         digits = 12 - int(np.floor(np.log10(times[-1] - times[0]))) if len(times) > 1 else 0
         lengths, which = np.unique(np.round(steps, digits), return_inverse=True)
         modes = self._modes
@@ -166,7 +166,7 @@ class Reduced:
             with one_blas_thread:
                 whole = scipy.linalg.expm(block)
             ramp = whole[:size, size + inputs :]
-            # Several threads may share a model, so the result is returned without a second look-up
+            # Several threads may use a model, so the result is returned without a second look-up
             found = self._steps[step_s] = whole[:size, :size], whole[:size, size : size + inputs] - ramp, ramp
         return found
 
@@ -214,7 +214,7 @@ def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Fl
     """
     _, damping, elastic, *stiffness = small.matrices
     squares, turn = np.linalg.eigh(elastic + sum(stiffness))
-    # Rigid motions of a free body have no stiffness: their displacement itself is the coordinate.
+    # Rigid motions of a free body have no stiffness, so their coordinate is the displacement.
     held = squares > 1e-12 * squares[-1]
     scale = np.where(held, np.sqrt(np.maximum(squares, 0.0)), 1.0)
     force = turn.T @ small.force

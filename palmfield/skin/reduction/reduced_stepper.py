@@ -105,7 +105,7 @@ class ReducedStepper(SkinStepper):
         # Results for the last constant pressures
         self._fixed: tuple[Float | Float32, Float] | None = None
         self._leaps: tuple[Float | Float32, dict[int, tuple[Float, Float]]] | None = None
-        # Displacement and velocity in V are products of the first two blocks of a state: only these are not 0.
+        # Displacement and velocity in V are products of the first two blocks of a state; the other blocks are 0.
         blocks = slice(0, self.order), slice(self.order, 2 * self.order)
         self._moved, self._moves = self.model.displaces[:, blocks[0]], self.model.moves[:, blocks[1]]
 
@@ -158,11 +158,11 @@ class ReducedStepper(SkinStepper):
             with one_blas_thread:
                 forces = self._forces(loads)
                 pushes = np.stack([forces @ self.start, forces @ self.end], axis=1)
-                steps, power = [pushes], self.advance.T  # of one world if all have the same pressure
+                steps, power = [pushes], self.advance.T  # of one world if all have equal pressures
                 for _ in range(substeps - 1):
                     steps.append(steps[-1] @ self.advance.T)
                     power = power @ self.advance.T
-                # The first force passes through the most substeps, (w, start and end, s, k, n)
+                # The first force acts through the most substeps, (w, start and end, s, k, n)
                 ways = np.stack(steps[::-1], axis=2).reshape(len(forces), -1, self.state_size)
                 known[1][substeps] = ways, power
         return known[1][substeps]
@@ -224,7 +224,7 @@ class ReducedStepper(SkinStepper):
         if len(states) <= self.order:
             seen = self.motion(states).reshape(-1, self.order) @ reader.matrix
             return seen.reshape(-1, 2, reader.count)
-        # For many worlds and few output points this order needs less work
+        # This order needs less work for many worlds and few output points
         displaced = states[:, : self.order] @ (self._moved.T @ reader.matrix)
         return np.stack([displaced, states[:, self.order : 2 * self.order] @ (self._moves.T @ reader.matrix)], axis=1)
 
@@ -310,13 +310,13 @@ def known_model(
     """
 
     def make() -> cache.Arrays:
-        # Imported here: models that are in the cache need none of them
+        # Imported here, because cached models need none of them
         from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
         from palmfield.skin.reduction.krylov import Krylov
         from palmfield.skin.reduction.reducer import SHIFT, grow_until
 
         load = ask_load()
-        # Small products only, which several threads of BLAS slow down where other programs run.
+        # Only small products, which several BLAS threads slow down when other programs run.
         with one_blas_thread:
             dynamics = DynamicStiffness(system, system.elimination_order())
             krylov = Krylov(dynamics, SHIFT * 2.0 * np.pi * highest_Hz, load.basis)

@@ -115,7 +115,7 @@ def reduce(
         raise SceneError(f"band {band_Hz} Hz, tolerance {tolerance}: need 0 <= low < high, 0 < tolerance < 1, finite B")
     dynamics = DynamicStiffness(body, order)
     krylov = Krylov(dynamics, SHIFT * 2.0 * np.pi * high, forces)
-    # Resonances are narrower at low frequencies, and unsupported bodies drift there.
+    # Resonances are narrower at low frequencies, at which unsupported bodies also drift.
     omega = 2.0 * np.pi * (low + (high - low) * np.linspace(0.0, 1.0, points) ** 3)
     weights = dynamics.weights(0.5 * np.gradient(omega) + 1j * omega)
 

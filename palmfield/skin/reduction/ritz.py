@@ -116,7 +116,7 @@ def ritz_modes(
     forces: Float,
     sizes: Float,
     blocks: int,
-    left_out: float,
+    omitted: float,
     surface: sparse.csr_matrix,
     stiffened: Sequence[float],
     relaxed: Float,
@@ -124,7 +124,7 @@ def ritz_modes(
     """Modes of a body for forces [N], shape (n, m), of which a load has shares of given rms sizes, shape (m,).
 
     factor: of `shifted(system)`. blocks: vectors of the space for each force, at least 2, or 4 of several laws.
-    left_out: share of the energy norm of the motion that the weakest modes, which are left out, may have.
+    omitted: share of the energy norm of the motion that the weakest modes, which are omitted, may have.
     surface: operator of the displacement that must be right, csr, shape (S, n).
     stiffened: for coupled modes, the factor of G / G_r of each law in a substep
         (palmfield.skin.fem.generalised_alpha), shape (p,).
@@ -132,10 +132,10 @@ def ritz_modes(
         Relaxed sheets share a load differently, for which powers of A^-1 M cannot compensate.
     """
     materials = [part.material for part in system.parts]
-    # As stiff as the materials are at a middle frequency: modes are not coupled there
+    # With the stiffness of the materials at a middle frequency, at which modes are not coupled
     means = laws_at(materials, -2j * np.pi * UNCOUPLED_Hz).real
     space, ends = _lanczos(system.mass, factor, forces * sizes, blocks, relaxed)
-    # That of the first law is the rest of the sum: it need not be stored
+    # The matrix of the first law is the remainder of the sum and need not be stored
     own = [_projected(matrix, space) for matrix in (system.elastic, *(part.stiffness for part in system.parts[1:]))]
     total = _projected(system.parts[0].stiffness, space)
     total *= means[1]
@@ -159,25 +159,25 @@ def ritz_modes(
         whole = _Modes(values, [turn.T @ matrix @ turn for matrix in own], means, materials)
         gram, before = _motion_together(whole, loaded, trials, seen @ turn)
         del whole
-    turn = turn @ _strongest(gram, rigidities, left_out)
+    turn = turn @ _strongest(gram, rigidities, omitted)
     modes, turn = _turned(turn, total, own, means, materials)
     force, watched = turn.T @ pushed @ trials, seen @ turn
-    allowed = max(COUPLED, COUPLED_SHARE * left_out)
+    allowed = max(COUPLED, COUPLED_SHARE * omitted)
     coupled: list[int] = []
-    coupling = modes.left_out(coupled, force, watched)
+    coupling = modes.neglected(coupled, force, watched)
     if not coupling <= allowed:
-        # What a substep solves with is diagonal then, so that what couples the modes is pushed by the state before
+        # The matrix of a substep is then diagonal, and coupling forces come from the state before
         last = np.array([1.0, *stiffened])
         modes, inner = _turned(np.eye(len(modes.values)), modes.of(last), modes.matrices, last, materials)
         turn, force, watched = turn @ inner, inner.T @ force, watched @ inner
         coupled = list(range(1, len(own)))
-        coupling = modes.left_out(coupled, force, watched)
+        coupling = modes.neglected(coupled, force, watched)
         if not coupling <= allowed:
             coupled, coupling = [0, *coupled], 0.0
     after = modes.answers(coupled, force, watched)
     scale = np.sqrt(TRIALS * seen.shape[0])
     motion = np.linalg.norm(after, axis=(1, 2)) / scale
-    # With one block less, as if each mode moved by itself: the coupling by the laws changes little in that
+    # With one block less and uncoupled modes; the coupling by the laws changes this difference little
     changes = [np.linalg.norm(change, axis=(1, 2)) / scale for change in (answers[1] - answers[0], after - before)]
     change = np.sqrt(changes[0] ** 2 + changes[1] ** 2 + (coupling * motion) ** 2)
     change *= TOGETHER if len(materials) > 1 else 1.0
@@ -244,7 +244,7 @@ class _Modes:
             return _answers(self._materials, self.rigidities, force, watched)
         return np.array([watched @ np.linalg.solve(self.at(f, coupled), force) for f in FREQUENCIES_Hz])
 
-    def left_out(self, coupled: Sequence[int], force: Float, watched: Float) -> float:
+    def neglected(self, coupled: Sequence[int], force: Float, watched: Float) -> float:
         """Largest relative change of the harmonic motion at COUPLED_Hz by the coupling of the other matrices."""
         worst = 0.0
         for f in COUPLED_Hz if len(self.means) > 2 else COUPLED_Hz[:1]:
@@ -290,7 +290,7 @@ def _motion_together(modes: _Modes, pushed: Float, trials: Float, seen: Float) -
     """
     gram = np.zeros((len(pushed), len(pushed)))
     answers = []
-    # Single precision: the result need be right only to a part in a thousand
+    # Single precision, because a relative error of 1e-3 is sufficient
     loads = pushed.astype(np.complex64)
     for f, width in zip(FREQUENCIES_Hz, np.gradient(FREQUENCIES_Hz), strict=True):
         stiffness = modes.at(f, range(1, len(modes.matrices)), np.complex64)
@@ -301,15 +301,15 @@ def _motion_together(modes: _Modes, pushed: Float, trials: Float, seen: Float) -
     return gram, np.array(answers)
 
 
-def _strongest(gram: Float, rigidities: Float, left_out: float) -> Float:
+def _strongest(gram: Float, rigidities: Float, omitted: float) -> Float:
     """Sums of modes that take most part in the motion: orthonormal, shape (r, k).
 
     gram: products of the modes' motions, (r, r); rigidities: see `_Modes`
-    left_out: of the motion in the energy norm, over loads and spectrum
+    omitted: share of the motion in the energy norm, over loads and spectrum
     """
     size = np.sqrt(rigidities.sum(axis=0) + (2.0 * np.pi * RATE_Hz) ** 2)
     values, vectors = np.linalg.eigh(gram * np.outer(size, size))
-    count = int((np.cumsum(values) > left_out**2 * values.sum()).sum())
+    count = int((np.cumsum(values) > omitted**2 * values.sum()).sum())
     count = in_gap(np.sqrt(np.maximum(values[::-1], 0.0)), count)
     return np.linalg.qr(vectors[:, len(values) - count :] / size[:, None])[0]
 
@@ -328,16 +328,16 @@ def _lanczos(
         new = factor.solve(np.ascontiguousarray(right))
         if number == 0:
             new = np.hstack([new, also])
-        known = space[:, :count]
+        basis = space[:, :count]
         for _ in range(2):
-            new -= known @ (known.T @ (mass @ new).astype(np.float32))
+            new -= basis @ (basis.T @ (mass @ new).astype(np.float32))
         squares, turn = np.linalg.eigh(new.T @ (mass @ new))
         kept = squares > PARALLEL**2 * squares.max()
         if count + int(kept.sum()) > space.shape[1]:
             break
         sizes = np.sqrt(squares[kept])
         new = new @ (turn[:, kept] / sizes)
-        new -= known @ (known.T @ (mass @ new).astype(np.float32))
+        new -= basis @ (basis.T @ (mass @ new).astype(np.float32))
         space[:, count : count + new.shape[1]] = new
         count += new.shape[1]
         ends.append(count)

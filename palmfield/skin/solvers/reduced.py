@@ -158,7 +158,7 @@ def _run(
     try:
         moved, _ = grow_until(krylov, motion, change, tolerance, MOST_VECTORS)
     except TooManyVectorsError as limit:
-        # The completed work gives a result all the same, with the error that the last vectors leave
+        # The completed work still gives a result, with the error of the last vectors
         moved = cast(Float, limit.reached)
     return on_mesh(system, moved[0], moved[1], normals), krylov.order, SAFETY * changes[-1]
 

@@ -64,8 +64,8 @@ def cost_wedges(problem: SkinProblem) -> float:
     """
     body, load, accuracy = problem.body, problem.load, problem.accuracy
     span = max(float(problem.times[-1]) - float(load.times_s[0]), 0.0)
-    # The first step is halved twice or so; the runs before the last together cost as much as that, and some problems
-    # are solved again, finer.
+    # The first step is halved about twice; the runs before the last cost as much as the last in total, and some
+    # problems are solved again with a finer mesh.
     steps = 4.0 * span / first_step(body, load, accuracy)
     return 0.05 + 3.0 * run_cost(last_dofs(problem), steps)
 
@@ -79,7 +79,7 @@ def last_dofs(problem: SkinProblem) -> float:
     growth = ENDLESS_GROWTH * 0.05 / accuracy if body.shape == "infinite" else GROWTH * math.sqrt(0.05 / accuracy)
     if body.shape == "disc" and edge_is_felt(body, load, points):
         growth = EDGE_GROWTH * 0.05 / accuracy
-    # The motion of a thin sheet follows the second derivative of its load
+    # The motion of a thin sheet depends on the second derivative of its load
     grown = first * growth * max(1.0, THIN * motion_width(body, load) / depth_of(body)) ** 2
     return math.sqrt(grown * max(grown, OFTEN_DOFS))
 

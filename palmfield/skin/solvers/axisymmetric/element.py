@@ -107,11 +107,11 @@ class DiscGrid:
             pairs = np.array([[a.T @ (mine * b) for b in shapes] for a in shapes])
             self._depths[layer.material] = self._depths.get(layer.material, 0.0) + pairs
         whole = [self._assemble(m) for m in (0, 1, 2)]
-        # Every matrix is a quadratic polynomial of m.
+        # Each matrix is a quadratic polynomial of m.
         second = [0.5 * (c - 2.0 * b + a) for a, b, c in zip(*whole, strict=True)]
         first = [b - a - d for (a, b, _), d in zip(zip(*whole, strict=True), second, strict=True)]
         self._powers = [whole[0], first, second]
-        # SciPy sorts indices when it first needs to: harmonics side by side would find them in either order
+        # Sorted now, because SciPy sorts indices at first use, which depends on the order of parallel harmonics
         for matrix in (one for power in self._powers for one in power):
             matrix.sum_duplicates()
 
@@ -185,7 +185,7 @@ class DiscGrid:
     def _spread(self, m: int) -> sparse.csr_matrix:
         free = np.ones((self.radial.count, self.depth.count, 3), dtype=bool)
         if m == 0:
-            # A pressure that does not depend on the angle has no torque.
+            # An axisymmetric pressure has no torque.
             free[:, :, V] = False
         free[0] = [[False, False, True], [True, True, False], [False, False, False]][min(m, 2)]
         if self.body.base == "bonded":

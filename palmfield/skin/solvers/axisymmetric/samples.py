@@ -41,10 +41,10 @@ def sample(load: Spot, times: Float, error: float) -> Samples:
             inner = np.linspace(load.times_s[n], load.times_s[n + 1], pieces[n] + 1)
             knots.append(inner[inner <= end])
     grid = np.unique(np.concatenate(knots))
-    # Times that differ by round-off only are one.
+    # Times that differ only by rounding are merged.
     grid = grid[np.concatenate([np.diff(grid) > 1e-12 * abs(end), [True]])]
-    there = grid + 1e-12 * abs(end) if load.law == "held" else grid
-    peak, centre = between(load, load.peak_Pa, there), between(load, load.centres(), there)
+    evaluated = grid + 1e-12 * abs(end) if load.law == "held" else grid
+    peak, centre = between(load, load.peak_Pa, evaluated), between(load, load.centres(), evaluated)
     return Samples(grid, peak, np.hypot(*centre.T), np.arctan2(centre[:, 1], centre[:, 0]), load.law)
 
 
@@ -88,7 +88,7 @@ def band_of(body: Slab, load: Spot, samples: Samples, error: float) -> float:
     path = (
         REACH * float(np.max(np.abs(np.diff(place)) / steps)) / (2.0 * math.pi * s) if samples.law == "linear" else 0.0
     )
-    # Spectrum of the amplitude from its increments, the first jump included, filtered by a response of 1 / f^2.
+    # Spectrum of the amplitude from its increments, including the first jump, filtered by a response of 1 / f^2.
     count = min(MOST_BINS, 2 + math.ceil(np.ptp(samples.times_s) / steps.min()))
     even = np.linspace(samples.times_s[0], samples.times_s[-1], count)
     rise = np.diff(np.interp(even, samples.times_s, samples.peak_Pa), prepend=0.0)

@@ -88,7 +88,7 @@ def solve_axisymmetric(
     disc = _problem(body, load, problem.times, points, accuracy, harmonics)
     first = degree or first_degree(accuracy)
     band = disc.band_Hz
-    # Both tolerances may be met by one size of the reduced models, whose error no difference would show then
+    # Both tolerances may give reduced models of one size, whose difference would not show their error
     tight = max(TIGHTER * accuracy, TIGHTEST)
     tighter = replace(_problem(body, load, problem.times, points, tight, harmonics), beyond=True)
     while True:
@@ -129,7 +129,7 @@ def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 
         finer, result = _motions([(tighter, first + 1, 0.0), (disc, first, 0.0)], None, _harmonic_at_rest)
         difference = STATIC_SAFETY * gap(result, finer, points)
         errors = difference + finer.dropped
-        # A higher degree does not reduce the error of the harmonics that are left out
+        # A higher degree does not reduce the error of omitted harmonics
         if errors[0] <= accuracy or difference[0] <= 0.5 * accuracy or first >= MOST_DEGREE:
             break
         first += 2
@@ -230,12 +230,12 @@ def _problem(
     share = _shares(float(samples.distance_m.max()) / s, 1e-3 * accuracy)
     left = np.append(np.cumsum(share[::-1])[::-1][1:], 0.0)
     highest = int(np.argmax(left <= 0.05 * accuracy)) if harmonics is None else min(harmonics, len(share) - 1)
-    # On the axis itself only the harmonics 0 and 1 move.
+    # On the axis only the harmonics 0 and 1 have motion.
     central = not points[:, :2].any()
     numbers = tuple(range(min(highest, 1) + 1 if central else highest + 1))
     dropped = 0.0 if central and highest > 0 else float(left[highest])
     band = band_of(body, load, samples, 0.3 * accuracy)
-    # Between two samples a parabola is off its chord by two thirds of its height on average.
+    # Between two samples the mean distance of a parabola from its chord is two thirds of its height.
     path = 0.1 * accuracy * 2.0 / 3.0 if load.law == "linear" and np.ptp(load.centres(), axis=0).any() else 0.0
     return _DiscProblem(body, load, times, points, samples, numbers, share, dropped, path, 0.1 * accuracy, band)
 
@@ -267,7 +267,7 @@ def _motions(
         grid = _disc(body, *breaks, tuple(sheets.tolist()), degree)
         grids.append(grid)
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
-    # BLAS threads are fixed: the factor of another harmonic may have just set their number, which changes last bits.
+    # The number of BLAS threads, which affects the last bits, is fixed, because other harmonics may change it.
     with one_blas_thread, ThreadPoolExecutor(python_threads()) as pool:
         parts = pool.map(lambda task: (harmonic or _harmonic)(*task), tasks)
         result = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
@@ -285,7 +285,7 @@ def _summed(problem: _DiscProblem, grid: DiscGrid, result: list[tuple[Complex, C
         for kind, part in enumerate(parts):
             mine[kind, after] = _turned(part[target[after]], m, points)
         moved += mine
-    # Those left out move like the last one, by their share of the load.
+    # Omitted harmonics are estimated to move like the last one, by their share of the load.
     last = np.array([_worst(part, whole) for part, whole in zip(quantities(mine), quantities(moved), strict=True)])
     dropped = last * problem.dropped / float(problem.share[problem.numbers[-1]])
     return _Found(moved, dropped, f"{grid.radial.elements} x {grid.depth.elements}")
@@ -323,7 +323,7 @@ def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) ->
     radius = float(body.radius_m or 0.0)
     reach = REACH * spread(load.fwhm_m)
     near, far = float(samples.distance_m.min()) - reach, float(samples.distance_m.max()) + reach
-    # Waves leave the spot at c / (2 pi s) and below, at which a wave is 2 pi s long.
+    # Waves leave the spot at frequencies up to c / (2 pi s), at which the wavelength is 2 pi s.
     longest = fine * s * 1.3
 
     def across(r: Float) -> Float:
@@ -331,7 +331,7 @@ def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) ->
         return np.minimum(fine * s + 0.3 * away, longest)
 
     ends_r = graded(radius, across)
-    # Where a fixed and a free boundary meet stresses are singular: a thin row of elements confines the error.
+    # Stresses are singular between a fixed and a free boundary; a thin row of elements limits the error.
     corner_side = body.side == "fixed" or (body.side == "free" and body.base not in ("free", "free_slip"))
     if corner_side:
         ends_r = np.insert(ends_r, -1, ends_r[-1] - CORNER * (ends_r[-1] - ends_r[-2]))
@@ -357,12 +357,12 @@ def _harmonic(grid: DiscGrid, problem: _DiscProblem, m: int, band_Hz: float) -> 
     samples = problem.samples
     near, far = float(samples.distance_m.min()), float(samples.distance_m.max())
     radii, which = np.unique(np.hypot(*problem.points[:, :2].T), return_inverse=True)
-    # A weak harmonic may err by more of itself.
+    # A weak harmonic may have a larger relative error.
     tolerance = problem.tolerance
     if m >= 2:
         tolerance = min(0.1, tolerance * float(problem.share.max() / problem.share[m]))
     spot = problem.load.fwhm_m, near, far, tuple(radii.tolist())
-    # A spot that moves has tens of models, which would push those of spots at rest out
+    # A moving spot has tens of models, which would displace those of stationary spots from the cache
     make = _kept if far == 0.0 else _small
     small, table, shares = make(grid, m, *spot, band_Hz, tolerance, problem.tolerance, problem.beyond)
     if shares is None:

@@ -58,7 +58,7 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
     if body.shape == "disc" and not (isinstance(load, Spot) and is_still(load) and not load.centres().any()):
         return "on a disc it needs a stationary spot at the centre"
     for material in (sheet.material for sheet in body.sheets):
-        # Of a wave as short as the load: stopping rate times creep rate
+        # For a wavelength equal to the load width: stopping rate times creep rate
         rate = material.viscosity_Pa_s / material.density_kg_m3 * (SHORTEST / spread(load_width(load))) ** 2
         rate *= material.relaxation.viscous_time_s
         if rate > MOST_RATES:

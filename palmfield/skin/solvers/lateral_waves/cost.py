@@ -57,7 +57,7 @@ def cost_lateral_waves(problem: SkinProblem) -> float:
         waves = 2.0 * wavenumbers
     degree = sum(resolution.degrees(body, 0.5 * k_end))
     branches = max(len(sheet.material.relaxation.branches) for sheet in body.sheets)
-    # Relevant modes for the face, seen in runs: they grow with the requested digits and with waves in the depth
+    # Number of relevant modes for the face, from runs; it grows with the requested digits and waves in the depth
     digits = resolution.digits + 0.35
     poles = (2 + branches) * min(2.0 * degree, 4.0 * digits**2 + 0.2 * k_end * body.thickness_m)
     stretches = len(np.union1d(load.times_s[load.times_s < requested[-1]], requested))

@@ -34,7 +34,7 @@ def timeline(load: Load, requested: Float) -> Timeline | None:
     ticks = np.round((np.concatenate([bends, requested[requested > start]]) - start) / (SAME * span)).astype(np.int64)
     different, place = np.unique(ticks, return_inverse=True)
     edges = np.empty(len(different))
-    # Bends last, so that an edge of both has exactly the time of the load
+    # Bends come last, so that common edges have exactly the time of the load
     edges[place[::-1]] = np.concatenate([bends, requested[requested > start]])[::-1]
     rows = np.full(len(edges), -1, dtype=np.int32)
     rows[place[len(bends) :]] = np.flatnonzero(requested > start)

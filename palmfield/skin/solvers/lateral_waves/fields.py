@@ -98,7 +98,7 @@ class PeriodicSlab(_Field):
         cells: places of the grid in a period, whose spacing is period_m / cells; `places` gives them
         Raises SceneError for a spot of another width, a grid too coarse for the waves, and times that do not rise.
         """
-        times = _asked(spot, times_s, self.fwhm_m)
+        times = _checked_times(spot, times_s, self.fwhm_m)
         numbers, shown = self._grid(half_m, cells)
         return _maps(self._amplitudes(spot, times, device), numbers, cells, shown)
 
@@ -109,7 +109,7 @@ class PeriodicSlab(_Field):
 
         maps: numbers of the times at which the square is needed, shape (m,); others as of `normal_velocity`
         """
-        times = _asked(spot, times_s, self.fwhm_m)
+        times = _checked_times(spot, times_s, self.fwhm_m)
         numbers, shown = self._grid(half_m, cells)
         amplitude = self._amplitudes(spot, times, device)
         most = int(numbers[:, 0].max())
@@ -227,7 +227,7 @@ class WalledDisc(_Field):
         places_m: coordinates along x and along y [m], shape (n,); by default `spacing_m` apart about the middle
         Raises SceneError for a spot of another width or nearer to the wall than 1.6 widths, and times as `solve`.
         """
-        times = _asked(spot, times_s, self.fwhm_m)
+        times = _checked_times(spot, times_s, self.fwhm_m)
         places = self.places(spacing_m) if places_m is None else np.asarray(places_m, dtype=float)
         amplitude, orders = self._amplitudes(spot, times, device)
         count = FINER_ANGLES * 2 ** math.ceil(math.log2(2 * int(orders.max()) + 2))
@@ -323,7 +323,7 @@ def wall_wavenumbers(radius_m: float, k_end: float) -> tuple[Int, Float]:
     end = k_end * radius_m
     orders, k = [np.zeros(1, dtype=int)], [np.zeros(1)]
     for m in range(math.floor(end) + 1):
-        # Zeros below `end` by the phase of J_m, of which the estimate is off by less than one
+        # Number of zeros below `end` by the phase of J_m, with an error below one
         ahead = (math.sqrt(end**2 - m**2) - m * math.acos(m / end)) / math.pi
         zeros = jnp_zeros(m, math.ceil(ahead) + 2)
         zeros = zeros[zeros <= end]
@@ -353,7 +353,7 @@ def _amplitudes(
 
 
 @lru_cache(maxsize=8)
-def _found(slab: Slab, fwhm_m: float, resolution: Resolution, horizon_s: float) -> dict[float, FaceModes]:
+def _stored_modes(slab: Slab, fwhm_m: float, resolution: Resolution, horizon_s: float) -> dict[float, FaceModes]:
     """Modes by rounded wavenumber, shared by lattices of half a period; those of an endless slab are also a disc's."""
     return {}
 
@@ -370,12 +370,12 @@ def _modes(of: _Field, k: Float) -> tuple[FaceModes, ...]:
             depth_problem(slab, number, resolution.degrees(slab, number)), horizon_s, min(tolerance, 0.03)
         )
 
-    found = _found(slab, fwhm_m, resolution, horizon_s)
+    stored = _stored_modes(slab, fwhm_m, resolution, horizon_s)
     keys = np.round(k, SAME_DIGITS).tolist()
-    missing = [n for n, key in enumerate(keys) if key not in found]
+    missing = [n for n, key in enumerate(keys) if key not in stored]
     new = compute_modes(modes_at, k[missing], of.threads)
-    found.update((keys[n], modes) for n, modes in zip(missing, new, strict=True))
-    return tuple(found[key] for key in keys)
+    stored.update((keys[n], modes) for n, modes in zip(missing, new, strict=True))
+    return tuple(stored[key] for key in keys)
 
 
 def _check(slab: Slab, shape: str, **sizes: float) -> None:
@@ -386,7 +386,7 @@ def _check(slab: Slab, shape: str, **sizes: float) -> None:
             raise SceneError(f"{name} is {value}; give metres above 0")
 
 
-def _asked(spot: Spot, times_s: Float, fwhm_m: float) -> Float:
+def _checked_times(spot: Spot, times_s: Float, fwhm_m: float) -> Float:
     if spot.fwhm_m != fwhm_m:
         raise SceneError(
             f"spot: fwhm_m is {spot.fwhm_m:g}; the waves were built for a spot of {fwhm_m:g} m; use that width"

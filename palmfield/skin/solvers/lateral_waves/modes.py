@@ -52,7 +52,7 @@ def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> ModalPr
     solution is that of the whole problem. A second shape does the same for the stiffness at once, branches included.
     """
     root = cholesky(problem.mass)
-    # From the factor: its values are right to 1e-16 of the largest, eigenvalues of its square to 1e-16 of that squared
+    # From the factor, whose values have errors of 1e-16 of the largest; its square would have 1e-16 of that squared
     values, shapes = np.linalg.svd(solve_triangular(root, problem.strain.T, trans="T").T, full_matrices=False)[1:]
     shapes = solve_triangular(root, shapes.T)
     squares = np.maximum(values**2, (SLOWEST / horizon_s) ** 2)
@@ -60,8 +60,8 @@ def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> ModalPr
     lateral = shapes[problem.lateral] if problem.lateral is not None else np.zeros_like(normal)
     share = np.abs(normal) * np.hypot(normal, lateral) / np.maximum(squares, 2.0 / min(horizon_s, LONGEST_S) ** 2)
     order = np.argsort(share)
-    left_out = np.sqrt(np.cumsum(share[order] ** 2)) < tolerance * share.sum()
-    kept = np.sort(order[~left_out])
+    omitted = np.sqrt(np.cumsum(share[order] ** 2)) < tolerance * share.sum()
+    kept = np.sort(order[~omitted])
     delayed = [r.strain @ shapes for r in problem.relaxing]
     static = [normal / squares]
     if delayed:
@@ -134,7 +134,7 @@ def face_modes(problem: DepthProblem, horizon_s: float, tolerance: float) -> Fac
     share = np.hypot(np.abs(normal), np.abs(lateral)) / np.maximum(np.abs(poles), 1.0 / min(horizon_s, LONGEST_S))
     ordered = np.sort(share)
     dropped = np.cumsum(ordered) < 0.1 * tolerance * share.sum()
-    # Just below the first that stays, so that conjugates stay or go together
+    # Just below the first kept value, so that conjugates are kept or omitted together
     kept = share >= (1.0 - 1e-6) * ordered[~dropped][0]
     return FaceModes(poles[kept], normal[kept], lateral[kept])
 

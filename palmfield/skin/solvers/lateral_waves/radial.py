@@ -105,7 +105,7 @@ def radial_rule(
         for number, ends in enumerate(waiting):
             done[ends] = measured(*ends, k[number], modes[number * NODES : (number + 1) * NODES])
         total = np.abs(sum(part[2] for part in done.values()))
-        # For displacement and velocity, the largest over the times, at each distance
+        # Largest displacement and velocity over the times, at each distance
         scale = total.max(axis=1, keepdims=True)
         size = {ends: float((part[3] / scale).max()) for ends, part in done.items()}
         if sum(size.values()) < tolerance:

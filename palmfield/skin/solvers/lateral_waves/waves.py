@@ -133,7 +133,7 @@ def plane_sum(vectors: Float, values: Complex, points: Float) -> Float:
         sums = np.empty((len(values), len(points)))
         for number, row in enumerate(values):
             left = along * row
-            # A real product of twice the length: half the work of a complex one whose imaginary part is not needed
+            # A real product of twice the length has half the work of a complex one with an unused imaginary part
             sums[number] = (np.concatenate([left.real, -left.imag], axis=1) @ across)[place_x, place_y]
         return sums
     result = np.empty((len(values), len(points)))

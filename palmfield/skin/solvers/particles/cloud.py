@@ -85,7 +85,7 @@ def build_cloud(body: Body, spacing_m: float, fewest_cells: int = FEWEST_CELLS) 
     other = column != owner[row]
     row, column, pair_area = row[other], column[other], pair_area[other]
     offset = points[column] - points[owner[row]]
-    # The least-squares weight that would give this area vector; a few at faces and slivers point the wrong way.
+    # The least-squares weight for this area vector; a few at faces and slivers have the wrong sign.
     spring = np.maximum(np.einsum("pc,pc->p", pair_area, offset), 0.0) / np.einsum("pc,pc->p", offset, offset)
     moment = np.zeros((sites, 3, 3))
     np.add.at(moment, row, spring[:, None, None] * offset[:, :, None] * offset[:, None, :])
@@ -182,7 +182,7 @@ def _check_cells(determinant: Float, jacobian: Float, corners: Float) -> None:
 def _face_rule(corners: int) -> tuple[Float, Float, Float]:
     """Shape functions (q, corners), their slopes (q, corners, 2) and weights (q,) of a triangle or a square."""
     if corners == 3:
-        # Strang & Fix, degree 2: the middles of the sides.
+        # Strang & Fix, degree 2: the midpoints of the sides.
         x, y = np.array([0.5, 0.5, 0.0]), np.array([0.0, 0.5, 0.5])
         slopes = np.tile([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]], (3, 1, 1))
         return np.column_stack([1.0 - x - y, x, y]), slopes, np.full(3, 1.0 / 6.0)

@@ -145,7 +145,7 @@ def _disc(body: Slab, spacing_m: float) -> tuple[Float, Int, Int, Int, Float]:
     number[inside] = np.arange(len(lattice))
     squares = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1).reshape(-1, 4)
     squares = squares[squares.min(axis=1) >= 0]
-    # Both halves of a whole square are Delaunay triangles, whichever diagonal was drawn.
+    # Both halves of a whole square are Delaunay triangles with either diagonal.
     in_lattice = triangles.max(axis=1) < len(lattice)
     keys = {tuple(sorted(triangle)) for triangle in triangles[in_lattice].tolist()}
     whole: list[list[int]] = []
@@ -171,7 +171,7 @@ def _disc(body: Slab, spacing_m: float) -> tuple[Float, Int, Int, Int, Float]:
 
 def _below_patch(body: Layer, spacing_m: float, fewest_cells: int) -> Columns:
     patch = body.patch
-    whole = extrude(patch, np.array([0.0, 1.0]))  # names the place of an inside-out column
+    whole = extrude(patch, np.array([0.0, 1.0]))  # raises an error with the position of an inverted column
     rim = np.flatnonzero(patch.rim).astype(np.int32)
     if body.side == "roller" and patch.axis is None:
         raise SceneError(NEEDS_AXIS)

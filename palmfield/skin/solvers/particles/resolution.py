@@ -93,7 +93,7 @@ def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
     if not 0.0 < accuracy <= 1.0:
         raise SceneError(f"particles: accuracy is {accuracy}; give 0.002 to 1 (5 % is typical)")
     accuracy = max(accuracy, FINEST)
-    # Below two particles a width in the run that estimates the error, the estimate has no value.
+    # The error estimate is not valid with fewer than two particles per width in its coarser run.
     high = min(length_of(body) / 4.0, motion_width(body, load) / 3.0)
     depth, along = depth_of(body), _along_face(body, load)
     # With the fewest cells through the depth, or as many as along the face

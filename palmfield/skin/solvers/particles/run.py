@@ -173,7 +173,7 @@ class Particles:
         gradient = self.gradient.numpy().astype(np.float64)
         broken = ~np.isfinite(gradient).all(axis=(1, 2))
         if not broken.any():
-            # No stretch is farther from 1 than the largest gradient; most bodies are far from where this matters
+            # No stretch differs from 1 by more than the largest gradient, which is small in most bodies
             largest = float(np.linalg.norm(gradient, axis=(1, 2)).max())
             if largest < SMALL_STRAIN and self.step_s * (1.0 + 2.0 * largest) ** 4 <= longest_s:
                 return
@@ -186,8 +186,8 @@ class Particles:
                 "pressure, use a thicker or stiffer body, or a shorter step_s if it is fixed"
             )
         stretch = np.linalg.svd(deformation, compute_uv=False)
-        # Bulk stiffness follows the square of the cofactor of F, shear stiffness at most that of F^-1; frequencies go
-        # with the root, the rates of dashpots with the square itself.
+        # Bulk stiffness scales with the square of the cofactor of F, shear stiffness at most with that of F^-1.
+        # Frequencies scale with the root, rates of dashpots with the square.
         growth = max(float((stretch[:, 0] * stretch[:, 1]).max()), float((1.0 / stretch[:, 2]).max()))
         if any(material.viscosity_Pa_s > 0.0 for material in self.cloud.materials):
             growth *= growth
@@ -272,7 +272,7 @@ def _largest(cloud: Cloud, hourglass: float, dashpots: bool) -> float:
     viscous = np.array([m.relaxation.viscous_time_s for m in cloud.materials])
     law = cloud.law[cloud.site_start[:-1]]
     scale = 1.0 / np.sqrt(cloud.mass)[:, None]
-    # So small that the law is linear, so large that float32 has all its digits.
+    # Small enough for a linear law, and large enough for all digits of float32.
     small = 1e-9
     rest = np.zeros_like(cloud.points)
 

@@ -66,17 +66,17 @@ def solve_particles(
         raise SceneError(f"particles: spacing_m is {spacing}; allowed by the size of the body: at most {longest:.4g}")
     cloud = build_cloud(body, spacing)
     points, u, v, step = run_particles(cloud, load, requested, at, device=device, step_s=step_s, follower=follower)
-    known = law_error(body, load, cloud.columns.spacing_m)
+    law = law_error(body, load, cloud.columns.spacing_m)
     source = "error measured on discs at this spacing (docs/bench/skin_particles.md)"
-    errors = np.full(3, known)
+    errors = np.full(3, law)
     if isinstance(body, Slab):
         coarse_cloud = build_cloud(body, COARSER * spacing, COARSE_CELLS)
         _, coarse, slower, _ = run_particles(coarse_cloud, load, requested, at, device=device, follower=follower)
         ratio = coarse_cloud.columns.spacing_m / cloud.columns.spacing_m
         gap = differences((coarse, slower), (u, v), normals_on_face(body, points))
-        # Few particles across a narrow body err at its sides as well, differently at each spacing
+        # With few particles across a narrow body there are also errors at its sides, different for each spacing
         least = 1.0 if motion_width(body, load) < load_width(load) else 0.5
-        errors = np.maximum(error_of_finer(gap, ratio, ORDER), least * known)
+        errors = np.maximum(error_of_finer(gap, ratio, ORDER), least * law)
         source = f"particles {ratio:.2f} times as far apart, order {ORDER:g}, and at least {least:g} of {source}"
     count = len(cloud.points)
     words = f"particles: {count}, {1e3 * cloud.columns.spacing_m:.3g} mm apart, step {1e6 * step:.3g} us"
@@ -153,7 +153,7 @@ def _history(
     reader = Reader(probe[0], probe[1], body.device)
     pressure = Pressure(body.cloud, load, body.device)
     table = wp.zeros((BLOCK, len(body.cloud.face_area)), dtype=wp.float32, device=body.device)
-    # Displacement is kept at the steps round each requested time: two before and two after.
+    # Displacement is stored at two steps before and two after each requested time.
     late = requested > begin
     first = np.floor((requested - begin) / step).astype(np.int64) - 1
     target = np.unique(np.concatenate([first[late] + shift for shift in range(4)])) if late.any() else np.zeros(0, int)

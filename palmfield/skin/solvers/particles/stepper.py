@@ -64,7 +64,7 @@ class ParticleLayer(OwnMesh):
         return spacing.law_error(self.body, self.planned_load(), self.cloud.columns.spacing_m)
 
     def seconds(self, duration_s: float, device: str) -> float:
-        # The error estimate of a disc takes two runs more
+        # The error estimate of a disc takes two further runs
         more = 2.0 * self.trial_s() if isinstance(self.body, Slab) else 0.0
         each = len(self.cloud.points) * spacing.SECONDS_A_STEP["cpu" if device == "cpu" else "cuda"]
         return (duration_s + more) / run.likely_step(self.cloud) * each

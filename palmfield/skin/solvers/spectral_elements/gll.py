@@ -37,7 +37,7 @@ def rule(order: int) -> Rule:
     gaps = nodes[:, None] - nodes + np.eye(order + 1)
     derivative = top[:, None] / (top * gaps)
     np.fill_diagonal(derivative, 0.0)
-    # Rows sum to 0, so that a rigid shift gives no strain to the last digit
+    # Rows sum to 0, so that a rigid shift gives exactly no strain
     np.fill_diagonal(derivative, -derivative.sum(axis=1))
     return Rule(nodes, weights, derivative, top, weights * top / (weights @ top**2))
 

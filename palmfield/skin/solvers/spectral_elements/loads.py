@@ -39,17 +39,17 @@ def rows_at(load: Load, times: Any, step_s: float) -> tuple[Any, Any]:
 
     Where the load jumps, a step takes the mean over half a step to each side, so that the scheme stays of second order.
     """
-    given = np.asarray(load.times_s, dtype=float)
+    load_times = np.asarray(load.times_s, dtype=float)
     if load.law == "linear":
-        row = np.searchsorted(given, times, side="right")
-        after = np.minimum(row, len(given) - 1)
+        row = np.searchsorted(load_times, times, side="right")
+        after = np.minimum(row, len(load_times) - 1)
         before = np.maximum(row - 1, 0)
-        gap = np.maximum(given[after] - given[before], np.finfo(float).tiny)
-        share = np.where(row >= len(given), 0.0, (times - given[before]) / gap)
+        gap = np.maximum(load_times[after] - load_times[before], np.finfo(float).tiny)
+        share = np.where(row >= len(load_times), 0.0, (times - load_times[before]) / gap)
     else:
-        row = np.searchsorted(given, times - 0.5 * step_s, side="right")
-        jump = given[np.minimum(row, len(given) - 1)]
-        share = np.clip((times + 0.5 * step_s - jump) / step_s, 0.0, 1.0) * (row < len(given))
+        row = np.searchsorted(load_times, times - 0.5 * step_s, side="right")
+        jump = load_times[np.minimum(row, len(load_times) - 1)]
+        share = np.clip((times + 0.5 * step_s - jump) / step_s, 0.0, 1.0) * (row < len(load_times))
     row[0], share[0] = 0, 0.5
     return row, share
 

@@ -95,7 +95,7 @@ def plan(
     watched = np.stack([low, high], axis=1)
     if isinstance(body, Layer):
         area = face_normals(body.patch.vertices, body.patch.faces)[1]
-        # Three quadrilaterals a triangle
+        # Three quadrilaterals per triangle
         quad = float(np.sqrt(np.median(area) / 3.0))
         if order is None:
             wide = LINEAR * width * math.sqrt(accuracy / 0.01)
@@ -169,7 +169,7 @@ def build(body: Body, chosen: Plan) -> tuple[Solid, Float]:
             middle, radius = np.zeros(2), float(body.radius_m or 0.0)
             reach = float(np.linalg.norm(np.abs(watched).max(axis=1)))
             inner = CORE * radius
-            # Cells widen to the rim by half pi / (2 CORE); watched points there need finer cells everywhere
+            # Cells widen towards the rim by half pi / (2 CORE); output points there need finer cells everywhere
             if reach > radius * (0.5 + 0.5 * CORE):
                 size = size / 1.5
         else:

@@ -187,7 +187,7 @@ class Model:
         there, moduli = self.put(mass), self.moduli_of(shear, bulk)
         rate = wp.zeros(len(self.solid.elements), dtype=self.real, device=self.device)
         spare = wp.zeros(1, dtype=wp.int32, device=self.device)
-        # The first Rayleigh quotient is of a vector of no particular length
+        # The first Rayleigh quotient is that of a vector that is not normalised
         for _ in range(ROUNDS + 1):
             self.launch(start, start, own, own, moduli, spare)
             wp.launch(

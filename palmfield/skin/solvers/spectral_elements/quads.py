@@ -80,10 +80,10 @@ def finish(positions: Float, drops: Float, cells: Int, order: int) -> Quads:
     outward /= np.linalg.norm(outward, axis=2, keepdims=True)
     normals = np.zeros((count, 2, 3))
     rim = np.zeros(count, dtype=bool)
-    # An edge of the rim is the first of one node and the second of the other
+    # An edge of the rim is the first edge of one node and the second edge of the other
     for slot, part in ((0, slice(0, order)), (1, slice(order, order + 1))):
         normals[edges[:, part], slot] = outward[:, part]
-    # Only corners keep two: elsewhere the two are one normal, or nearly, and their mean is better than either
+    # Only corners keep two normals; elsewhere the two are nearly equal, and their mean is more accurate
     rim[edges] = True
     first, second = normals[:, 0].copy(), normals[:, 1].copy()
     smooth = np.einsum("sc,sc->s", first, second) > math.cos(math.radians(30.0))
@@ -138,7 +138,7 @@ def disc_quads(thickness_m: float, half_m: float, core: int, radii_m: Float, ord
     blocks = [square(a, b).reshape(-1, n, n, 2)]
     grid = np.arange((core + 1) ** 2).reshape(core + 1, core + 1)
     corners = [np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=-1).reshape(-1, 4)]
-    # Round the boundary of the square counter-clockwise, quarter by quarter
+    # Counter-clockwise round the boundary of the square, by quarters
     around = np.concatenate([grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1], grid[:-1, 0]])
     loops = np.concatenate([around[None], grid.size + np.arange(4 * core * rings).reshape(rings, 4 * core)])
     angle = 0.25 * math.pi * s

@@ -128,7 +128,7 @@ class Stepper:
         pace[:count] = np.stack([(1.0 - half) / (1.0 + half), step_s / model.mass / (1.0 + half)], axis=1)
         row_of = np.full(threads * lanes, -1)
         row_of[holds.rows] = np.arange(len(holds.rows))
-        # Nodes held in every direction need no matrices
+        # Nodes fixed in all directions need no matrices
         still = holds.rows[~holds.projector.any(axis=(1, 2))]
         pace[still], row_of[still] = 0.0, -1
         self.held = model.ints(row_of)
@@ -147,7 +147,7 @@ class Stepper:
         self.u, self.v = (wp.zeros(threads * lanes, dtype=model.vec3, device=device) for _ in range(2))
         self.w = wp.zeros(copies, dtype=model.vec3, device=device)
         self.strain = wp.zeros((max(1, self.most), copies), dtype=model.vec3, device=device)
-        # A private array, because several may step one model at once
+        # A separate array, because several runs may step one model at the same time
         self.force = wp.zeros_like(model.force)
         self.clock, self.finished = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
         self.done = 0

@@ -50,7 +50,7 @@ def extrude(quads: Quads, sheets: tuple[Sheet, ...], deep: tuple[int, ...]) -> S
     shares = np.concatenate([(edges[:-1, None] + np.diff(edges)[:, None] * inner).ravel(), [1.0]])
     levels, count = len(shares), len(quads.nodes)
     nodes = (quads.nodes + shares[:, None, None] * quads.drop).reshape(-1, 3)
-    # The first direction along the second of the quadrilateral: with the third inwards this is right-handed
+    # The first direction is along the second of the quadrilateral, which is right-handed with the third inwards
     flat = quads.cells.transpose(0, 2, 1)
     offset = count * (order * np.arange(layers)[:, None] + np.arange(order + 1))
     elements = flat[None, :, :, :, None] + offset[:, None, None, None, :]

@@ -121,7 +121,7 @@ def cost_spectral_elements(problem: SkinProblem) -> float:
     requested, start = problem.times, float(load.times_s[0])
     ends = float(requested[-1]), window(body, chosen, singular, load, requested)
     second = comparison_plan(body, chosen, singular)
-    # The second plan is run with a whole and with half a step
+    # The second plan is run with the whole step and with half the step
     runs = [(chosen, ends[0], 1.0), (second, ends[1], 3.0)]
     if second.order == chosen.order > 1:
         runs.append((at_lower_order(chosen), ends[0], 1.0))
@@ -271,11 +271,11 @@ def solve_spectral_elements(
             if len(early) < len(requested):
                 source += f" up to {early[-1]:.3g} s"
         else:
-            # Elements this large have not come to their order: the difference was 0.7 to 59 times the error, and
-            # 1.2 times it with a sponge, which falls with no known power of its size
+            # Elements this large do not converge with their order: the difference was 0.7 to 59 times the error, and
+            # 1.2 times with a sponge, whose error follows no known power of its size
             errors, source = gap, f"the difference to elements {COARSER} times as wide"
             if chosen.order > 1:
-                # Wider elements may miss as much of a sudden velocity: on a short branch they estimated a quarter of it
+                # Wider elements may miss an equal part of a sudden velocity; on a short branch they estimated 1/4 of it
                 same = march(prepared(body, at_lower_order(chosen), device, precision), load, requested, points)
                 shares = LOWER * differences(same[:2], fine[:2], normals)
                 errors[1] = max(errors[1], shares[1])

@@ -73,7 +73,7 @@ class ElementLayer(OwnMesh):
         return words
 
     def seconds(self, duration_s: float, device: str) -> float:
-        # The second run of an estimate is the coarser one
+        # The second run of an estimate is the coarser run
         steps = (duration_s + 2.0 * self.trial_s()) / solve.likely_step(self.solid, self.body.sheets)
         return steps * solve.step_seconds(self.solid, device != "cpu")
 
