@@ -141,7 +141,7 @@ def _controls(book: Book, rows: Sequence[Row]) -> list[str]:
         result = "works" if one.works else "**failed: the claims that it lists are weak evidence**"
         out += [
             f"**{name}**: {_cell(one.control.changes)} Turned {len(one.turned)} of {len(one.control.sensitive)} listed "
-            f"claims, {one.wanted} wanted: {result}.",
+            f"claims, {one.wanted} needed: {result}.",
             "",
         ]
         out += _table(
@@ -244,33 +244,35 @@ def page(
     changes = [change for change in book.changes if change["id"] in {row.entry.id for row in rows}]
     out = [
         f"# {paper.title}", "", paper.about, "", made, "",
-        "How numbers are held, and what the words mean, is told in [the gallery's page](../README.md). *Distance* is "
-        "from the limit of the tolerance, positive inside: of numbers in tolerances (1 where both are equal, 0 at the "
-        "limit), of inequalities in the unit of what is compared.", "",
+        "[The page of the gallery](../README.md) describes the comparison and defines the words. *Distance* is "
+        "measured from the limit of the tolerance and is positive inside. For numbers its unit is the tolerance (1 if "
+        "both are equal, 0 at the limit), for inequalities the unit of the compared quantity.", "",
         f"**{len(claims)} claims: {verdicts}. {carrying.strip()}** "
-        + (f"What depends on a reading: {', '.join(hanging)}. " if hanging else "")
-        + (f"Of {agreeing} that agree no control turns {len(loose)}: {', '.join(loose)}. " if loose else "")
+        + (f"Claims that depend on a reading: {', '.join(hanging)}. " if hanging else "")
+        + (f"Of {agreeing} claims that agree, no control turns {len(loose)}: {', '.join(loose)}. " if loose else "")
         + (f"Of these {len(late)} are turned by controls that were written later: {', '.join(late)}. " if late else "")
-        + (f"Within the numerical error of one answer the verdict would differ: {', '.join(near)}." if near else ""),
+        + (f"Verdicts that another number within the numerical error would change: {', '.join(near)}." if near else ""),
         "",
         "## Claims", "", *_claims(claims),
-        "## Agreements that nothing could have turned", "",
-        *_table(("id", "why it says little"), ((name, WEIGHTLESS[name]) for name in empty)),
+        "## Agreements that no result of a run could have turned", "",
+        *_table(("id", "why the evidence is weak"), ((name, WEIGHTLESS[name]) for name in empty)),
         "## Figures", "",
         *(line for path, caption in pictures for line in (f"![{caption}]({path.name})", "", caption, "")),
         "## Why claims disagree", "", *_causes(claims),
         "## Readings", "", *_readings(claims),
         "## Controls", "", *_controls(book, claims),
         "## Controls written later", "",
-        "Of claims that agree and that no control above turns. What could make them fail was fixed beforehand, in "
-        "words; how it is done here was written when answers were known, and says less than a control does.", "",
+        "For claims that agree and that no control above turns. The change that could make a claim fail was fixed "
+        "beforehand in words. Its code was written after the answers were seen: it is weaker evidence than a control.",
+        "",
         *_later(claims),
         "## Readings found later", "",
-        "Found by looking at answers. They count in no verdict above; all claims that they bear on are listed.", "",
+        "These readings were found from the answers and do not count in the verdicts. All claims that they affect are "
+        "listed.", "",
         *_found_later(claims),
-        "## Shown beside, not counted", "", *_shown(rows),
+        "## Shown, not counted", "", *_shown(rows),
         "## Where the paper contradicts itself", "", *_others(kinds["ERRATUM"]),
-        "## Checks of ours", "", *_others(kinds["CALC"]),
+        "## Our own checks", "", *_others(kinds["CALC"]),
         "## Inputs", "", *_others(kinds["INPUT"]),
     ]  # fmt: skip
     if changes:

@@ -162,8 +162,8 @@ def test_a_verdict_within_the_numerical_error_is_told(ours, error, said, loose):
 
     came = row(one, nobody({"N1a": answer}), book_of(one), Setting())
     assert came.verdict == said and unsure([came]) == (["N1a"] if loose else [])
-    told = "Within the numerical error of one answer the verdict would differ: N1a."
-    assert (told in page(nobody({}), book_of(one), [came], [], "", "made")) == loose
+    sentence = "Verdicts that another number within the numerical error would change: N1a."
+    assert (sentence in page(nobody({}), book_of(one), [came], [], "", "made")) == loose
 
 
 def test_causes_are_tested_only_where_a_claim_disagrees():

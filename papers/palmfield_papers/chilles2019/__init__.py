@@ -17,9 +17,9 @@ PAPER = Paper(
     name="chilles2019",
     paper="Chilles 2019",
     title="Chilles et al. 2019: laser vibrometry and finite elements of a silicone disc",
-    about="A focus of a UHEV1 presses on a disc of Ecoflex 00-10, held, modulated at 200 Hz or on a circle at 70 Hz. "
-    "The raw motion is held against the paper's finite elements, the motion through a virtual vibrometer against what "
-    "it measured.",
+    about="A focus of a UHEV1 presses on a disc of Ecoflex 00-10: constant, modulated at 200 Hz or on a circle at "
+    "70 Hz. The raw motion is compared with the finite elements of the paper, the motion through a virtual vibrometer "
+    "with the measurement of the paper.",
     answers={
         **medium_rows.ANSWERS,
         **sound_rows.ANSWERS,

@@ -52,11 +52,11 @@ def cases(setting: Setting) -> dict[str, Case]:
     """Return cases for inputs that the text leaves open or prints twice, each changed separately."""
     base, sound = case_of(setting), focal_sound()
     return {
-        "base: 12 Pa, 10.3 mm, tau 171 µs, nu 0.495 beside the relaxed modulus": base,
+        "base: 12 Pa, 10.3 mm, tau 171 µs, nu 0.495 with the relaxed modulus": base,
         f"from p0 {sound.p0_Pa_m:g} Pa m: the field of the UHEV1 presses with {sound.arp_Pa[0]:.3g} Pa and is "
         f"{1e3 * fwhm_m():.3g} mm wide": replace(base, level_Pa=float(sound.arp_Pa[0]), fwhm_m=fwhm_m()),
         "tau as printed, 0.171 µs": replace(base, material="tau_printed"),
-        "nu 0.495 beside the modulus at once (`corrected`)": replace(base, material="bulk_corrected"),
+        "nu 0.495 with the instantaneous modulus (`corrected`)": replace(base, material="bulk_corrected"),
         "both moduli 50 % lower": replace(base, material="soft"),
         "both moduli 50 % higher": replace(base, material="stiff"),
         f"**hypothesis**: load of {1e3 * WIDE_M:.3g} mm": replace(base, fwhm_m=WIDE_M),
@@ -66,7 +66,7 @@ def cases(setting: Setting) -> dict[str, Case]:
 def open_inputs(setting: Setting) -> list[str]:
     values = printed()
     lines = [
-        "### What the paper leaves open, against its FEM column", "",
+        "### Inputs that the paper leaves open, compared with its FEM column", "",
         "Raw motion in µm, sides fixed, pure step, windows of 0-200 ms. The last column counts numbers within 25 %, of "
         f"{len(FEM)}.", "",
         "| run | " + " | ".join(LABELS) + " | within |", "|" + "---|" * (len(LABELS) + 2),
@@ -77,9 +77,9 @@ def open_inputs(setting: Setting) -> list[str]:
         lines.append(f"| {name} | " + " | ".join(f"{found[one]:.3g}" for one in FEM) + f" | {_within(found)} |")
     return [
         *lines, "",
-        "The load of 14.5 mm was found by looking at answers. It is a hypothesis about how the pressure was put on the "
-        "paper's mesh: none of its agreements counts, and no row uses it. p0 of the layout was itself inferred from "
-        f"{LEVEL_PA:g} Pa, so that the second line tests the width of the spot alone.", "",
+        "The load of 14.5 mm was found from the answers. It is a hypothesis about how the paper applied the pressure "
+        "to its mesh. Its agreements do not count, and no row uses it. p0 of the layout was inferred from "
+        f"{LEVEL_PA:g} Pa, so the second line tests only the width of the spot.", "",
     ]  # fmt: skip
 
 
@@ -89,22 +89,22 @@ def chain_lines(setting: Setting) -> list[str]:
     whole = fully(found)
     values = printed()
     text = (
-        f"{len(whole)} of {len(found)} chains bring all six within their tolerances"
+        f"{len(whole)} of {len(found)} chains have all six numbers in their tolerances"
         if whole
-        else f"None of {len(found)} chains brings all six within its tolerance; the best bring {len(best[0].within)}"
+        else f"None of {len(found)} chains has all six numbers in their tolerances; the best have {len(best[0].within)}"
     )
     lines = [
         "### Chains from the beam to the measured column", "",
-        "Order and phase of the 50 Hz high-pass, a straight line taken off the displacement (drift), the load at "
-        "12 Pa or with the gain of the step's peak, azimuth of the head, window of rms and peak to peak. "
-        f"{text}. With the gain the peak agrees by itself. The base readings are order 2, causal, no drift, 0-256 ms; "
-        "a chain that is picked from this table counts for nothing.", "",
+        "A chain is order and phase of the 50 Hz high-pass, a straight line subtracted from the displacement (drift), "
+        "the load (12 Pa, or a gain to the peak of the step), azimuth of the head, window of rms and peak to peak. "
+        f"{text}. With the gain the peak agrees by definition. The base readings are order 2, causal, no drift, "
+        "0-256 ms; a chain that is picked from this table is no evidence.", "",
         "| order | phase | drift off | level | azimuth | window | " + " | ".join(MEASURED_LABELS) + " | within |",
         "|" + "---|" * (len(MEASURED_LABELS) + 7),
         "| paper | | | | | | " + " | ".join(f"{values[name]:.3g}" for name in SIX) + " | |",
     ]  # fmt: skip
     lines += [_chain_line(one) for one in best[:SHOWN_CHAINS]]
-    return [*lines, "", f"The {SHOWN_CHAINS} best are shown, the figure has all.", "", *_offset(case_of(setting))]
+    return [*lines, "", f"The {SHOWN_CHAINS} best are shown here, all in the figure.", "", *_offset(case_of(setting))]
 
 
 def _offset(case: Case) -> list[str]:
@@ -114,11 +114,11 @@ def _offset(case: Case) -> list[str]:
         late, early = both_ways(case, order, 0.0), both_ways(case, order, EARLIER_S)
         shown.append(f"order {order}: {late[0]:.2g} and {late[1]:.3g} µm, {early[0]:.2g} and {early[1]:.3g} µm")
     return [
-        "**Hypothesis.** No causal high-pass leaves a steady state, and Table I prints one. A filter that runs forward "
-        "and backward moves before its cause. The record begins at the trigger, and so does the integral, which then "
-        "keeps an offset that looks like a steady state. Steady state and peak of the step at 12 Pa with a record that "
-        f"begins at the trigger, and with one that begins {1e3 * EARLIER_S:g} ms before it: {'; '.join(shown)}. It was "
-        "found by looking at the answers, and counts for nothing.", "",
+        "**Hypothesis.** After a causal high-pass the steady state is 0, but not in Table I. The output of a filter "
+        "that runs forward and backward begins before its input. Record and integral begin at the trigger, so the "
+        "integral keeps an offset that looks like a steady state. Steady state and peak of the step at 12 Pa with a "
+        f"record that begins at the trigger, and with one that begins {1e3 * EARLIER_S:g} ms before it: "
+        f"{'; '.join(shown)}. This hypothesis was found from the answers and does not count.", "",
     ]  # fmt: skip
 
 
@@ -133,19 +133,19 @@ def _chain_line(one: Explained) -> str:
     )
 
 
-CHOICES = """### Choices that the file of tolerances leaves
+CHOICES = """### Choices where the file of tolerances is open
 
 - The control `moduli_half` and the bands of 50 % scale both shear moduli and keep the bulk modulus and tau. Poisson's
   ratio is then 0.4975 or 0.4925.
-- The band is of the moduli alone. p0 enters no row: the text gives 12 Pa, and a gain on the step takes its place.
-- C21c takes the mean over the angle as "the rms at 10 mm"; the largest rms beyond 20 mm is over all angles.
-- C9f holds at its very end: 4 over the first term of the printed formula, 2 over a wall that takes all sound in.
-- C13g's linear elements are the linear fields among those of the quadratic wedges, on the same mesh.
-- The flight of 0.58 ms is not in the configuration and not in the records.
-- Under `tau_as_printed` the slab has next to no losses: its runs have elements of degree 5 and state the error that
-  this leaves.
-- Maps hold displacements at 8 kHz. Their velocities are central differences, which don't drift when they are
-  integrated: pressure waves ring between the sides of a nearly incompressible disc at kilohertz.
+- The band varies only the moduli. No row uses p0: the text gives 12 Pa, and a gain on the step replaces p0.
+- "The rms at 10 mm" of C21c is the mean over the angle; the largest rms beyond 20 mm is over all angles.
+- C9f agrees at an end of its range: 4 over the first term of the printed formula, 2 over a wall that absorbs all sound.
+- The linear elements of C13g are the linear functions among those of the quadratic wedges, on the same mesh.
+- The configuration and the records do not contain the time of flight of 0.58 ms.
+- With `tau_as_printed` the slab has almost no losses: its runs have elements of degree 5 and print the error that
+  remains.
+- Maps contain displacements at 8 kHz. Their velocities are central differences, which have no drift after
+  integration: pressure waves ring between the sides of a nearly incompressible disc at kilohertz.
 """
 
 

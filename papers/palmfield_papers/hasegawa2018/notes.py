@@ -25,22 +25,22 @@ def notes(setting: Setting) -> str:
     skew = np.degrees(2.0 * np.pi * CARRIER_HZ * 1e-6)
     lines += [
         "",
-        "Receivers: the microphone (mean over its face, and its body's response over angle by a rigid sphere of its "
-        "diameter), its face alone, and a point.",
+        "Receivers: the microphone (mean over its face, with the response of its body over angle, that of a rigid "
+        "sphere of its diameter), its face without the body, and a point.",
         "",
-        "## Read into the text",
+        "## Assumptions where the text is open",
         "",
-        "- The microphone looks at the middle of the units, and its body counts as alone in each transducer's sound.",
-        "- Forces take alpha 2 and the incident pressure, as the text's eq. 1 does; those by the law of a rigid wall "
-        "stand beside. Sound that goes back and forth between reflector and units is left out.",
-        "- The exponent 1.5 belongs to transducers and drivers: duty cycles are made for it, and the device has it. "
-        "The radiation pressure is quadratic in the sound pressure.",
-        "- The transducers' resonance lies at the carrier. The filter from 2 to 40 kHz is not printed: a "
-        "Kaiser-windowed sinc of 8 frames with half its amplitude at 1 kHz.",
-        "- At 1000 Hz there are two packets a period; three phases of the sine against them were run, and the worst is "
-        "held.",
+        "- The microphone points at the middle of the units. Its body is computed without other bodies near it.",
+        "- Forces are computed with alpha 2 and the incident pressure, as in eq. 1 of the text; forces by the law of a "
+        "rigid wall are printed too. Repeated reflections between reflector and units are not modelled.",
+        "- The exponent 1.5 is a property of transducers and drivers: duty cycles are computed for it, and the "
+        "modelled device has it. The radiation pressure is quadratic in the sound pressure.",
+        "- The resonance of the transducers is at the carrier. The text does not print the filter from 2 to 40 kHz: "
+        "here it is a Kaiser-windowed sinc of 8 frames with half its amplitude at 1 kHz.",
+        "- At 1000 Hz a period has two packets. Three phases of the sine relative to the packets were computed, and "
+        "the worst is compared.",
         f"- A skew of 1 us is {skew:.1f} degrees of the carrier.",
-        "- The force of row H22 is that on 12 x 12 mm. Farther away the focus is wider, so that it falls less than the "
-        "pressure squared in its middle.",
+        "- The force of row H22 is that on 12 x 12 mm. At larger distances the focus is wider, so the force decreases "
+        "less than the squared pressure in its middle.",
     ]
     return "\n".join(lines) + "\n"

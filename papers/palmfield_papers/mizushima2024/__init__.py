@@ -9,7 +9,7 @@ PAPER = Paper(
     name="mizushima2024",
     paper="Mizushima 2024",
     title="Mizushima & Sato 2024: two bows of ultrasonic speakers on a dummy skin",
-    about="The focus of two bows of six speakers, and how far gels of 1 mm move under it "
+    about="The focus of two bows of six speakers, and the displacement of gels of 1 mm under it "
     "(doi 10.18494/SAM5054). Speakers are baffled pistons in air of 23 degrees; the gel is a flat linear layer.",
     answers={**field.ANSWERS, **drive.ANSWERS, **gel.ANSWERS},
     causes={**field.CAUSES, **gel.CAUSES},

@@ -23,8 +23,8 @@ def notes(setting: Setting) -> str:
         "## Focal length and radius together",
         "",
         "The verdicts vary one reading at a time. The printed angles fit a focal length of 30 mm and the printed "
-        "Rayleigh length a radius of 5 mm, so here both vary together, bows in step, through a quarter inch. This was "
-        "set up after the first answers had been seen, so it is a hypothesis and doesn't count.",
+        "Rayleigh length a radius of 5 mm, so here both vary together, with bows in phase and a diaphragm of a quarter "
+        "inch. This was set up after the first answers were seen, so it is a hypothesis and does not count.",
         "",
         "| focal length [mm] | radius [mm] | x, outermost [mm] | x, central lobe [mm] | y [mm] | z [mm] |",
         "|---|---|---|---|---|---|",
@@ -38,23 +38,24 @@ def notes(setting: Setting) -> str:
     p0 = needed_p0_Pa_m(Bows(30e-3, 5e-3))
     lines += [
         "",
-        "## How plausible 4000 Pa are",
+        "## Plausibility of 4000 Pa",
         "",
-        f"In step at the focus, with a focal length of 30 mm, every speaker would need {p0:.0f} Pa at 1 m (peak); "
-        f"published values of such transducers reach from 1.3 to 8.5. At 2.53 the focus has "
+        f"In phase at the focus, with a focal length of 30 mm, every speaker would need {p0:.0f} Pa at 1 m (peak); "
+        f"published values of such transducers are 1.3 to 8.5 Pa. With 2.53 Pa the focus has "
         f"{4000.0 * (2.53 / p0) ** 2:.0f} Pa. A pressure microphone that doubles the sound at its face, and peak "
-        "values taken for rms, would together make 4000 Pa of 500: more than any published value gives, too.",
+        "values read as rms, would together turn 500 Pa into 4000 Pa. No published value gives 500 Pa either.",
         "",
-        "## Read into the text",
+        "## Assumptions where the text is open",
         "",
-        "- Speakers arrive in step at the common focus. On a parabola that one generator drives they would not: the "
-        "outer ones are 3 mm farther away, a third of a wave. This is tested as a cause.",
-        "- The radiation pressure's part at the modulation frequency goes with the square of the carrier's pressure.",
+        "- The sound of all speakers arrives in phase at the common focus. On a parabola with one generator it would "
+        "not: the outer speakers are 3 mm farther away, a third of a wavelength. This is tested as a cause.",
+        "- The part of the radiation pressure at the modulation frequency is proportional to the squared carrier "
+        "pressure.",
         "- 4000 Pa is the amplitude of that part in the middle of the focus.",
-        "- The gel's moduli at 10 Hz are printed; their course over frequency is assumed (preset `hitohada_*`). "
-        "Its largest displacement lies at 1 Hz, where the assumption counts most.",
-        "- At 4000 Pa a frictionless layer of C0 is pressed by 41 % of its thickness, where a linear "
-        "law is no longer right.",
+        "- The moduli of the gel at 10 Hz are printed; those at other frequencies are assumed (preset `hitohada_*`). "
+        "Its largest displacement is at 1 Hz, where the assumption has the largest effect.",
+        "- At 4000 Pa a frictionless layer of C0 is compressed by 41 % of its thickness, where a linear "
+        "law is no longer valid.",
     ]
     lines += ["", "## The gel on a curved bone", "", _on_bone(setting)]
     return "\n".join(lines) + "\n"
@@ -62,11 +63,11 @@ def notes(setting: Setting) -> str:
 
 def _on_bone(setting: Setting) -> str:
     if setting.quick:
-        return "Left to the full run."
+        return "Computed in full runs only."
     bonded, slides = over_flat("bonded"), over_flat("free_slip")
     finer = over_flat("bonded", 1)
     return (
-        f"Wrapped round a rigid bone of {1e3 * BONE_M:g} mm radius (assumed), at rest, gel C0 moves {bonded:.2f} times "
-        f"as far as on a flat one where it is bonded ({finer:.2f} on quartered triangles) and {slides:.2f} times where "
-        "it slides. The configuration is flat, so this is a hypothesis and doesn't count."
+        f"On a rigid bone of {1e3 * BONE_M:g} mm radius (assumed), at rest, the displacement of gel C0 is {bonded:.2f} "
+        f"times that on a flat bone if it is bonded ({finer:.2f} on quartered triangles) and {slides:.2f} times if it "
+        "slides. The configuration is flat, so this is a hypothesis and does not count."
     )

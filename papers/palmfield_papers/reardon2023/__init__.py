@@ -46,9 +46,9 @@ PAPER = Paper(
     name="reardon2023",
     paper="Reardon 2023",
     title="Reardon et al. 2023: shear shock waves",
-    about="A focus that runs over a slab of 1 cm, faster and slower than its shear waves: wakes, fronts, energies, "
-    "figures, the measured gelatin plate, and the hand with the perception of direction. The slab's waves are those of "
-    "the solver lateral_waves, endless or within a smooth wall; pressures cancel in all that is held.",
+    about="A focus that moves over a slab of 1 cm, faster and slower than its shear waves: wakes, fronts, energies, "
+    "figures, the measured gelatin plate, and the hand with the perception of direction. The solver "
+    "lateral_waves computes the slab, infinite or within a smooth wall. No compared quantity depends on the pressure.",
     answers={**given.ANSWERS, **lines.ANSWERS, **figures.ANSWERS, **phantom.ANSWERS, **hand.ANSWERS},
     causes={
         **_causes(lines.VARIED | phantom.VARIED, CHANGES),
