@@ -1,6 +1,6 @@
 """Time of a simulated millisecond of recorded runs: written step by step, and in blocks of many steps.
 
-    python scripts/bench/recorded_run.py [SCENE ...] [--steps 100] [--times 9] [--before COMMIT]
+    python scripts/bench/recorded_run.py [SCENE ...] [--steps 100] [--times 9] [--before COMMIT] [--device D]
 
 Results stay in memory. Both ways take turns in one process, from reset to the given number of steps; with --before a
 second process runs that commit in turn. Prints a table in Markdown: medians of wall time and processor time, and the
@@ -25,7 +25,7 @@ import sys, time
 from palmfield.outputs.store import MemoryStore
 from palmfield.session.recorded_run import known_before, recorder_of, result_attributes
 from palmfield.session.simulation import Simulation
-sim = Simulation(f"mjcf/scenes/{sys.argv[1]}.xml")
+sim = Simulation(f"mjcf/scenes/{sys.argv[1]}.xml", device=sys.argv[2] or None)
 for line in sys.stdin:
     steps, *together = map(int, line.split())
     sim.reset()
@@ -44,8 +44,8 @@ for line in sys.stdin:
 class Runs:
     """A process that runs a scene of a checkout again and again."""
 
-    def __init__(self, where: Path, scene: str):
-        words = [sys.executable, "-c", WORKER, scene]
+    def __init__(self, where: Path, scene: str, device: str):
+        words = [sys.executable, "-c", WORKER, scene, device]
         self._python = subprocess.Popen(words, cwd=where, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def run(self, *numbers: int) -> tuple[float, float]:
@@ -57,9 +57,9 @@ class Runs:
         return wall, spent
 
 
-def compare(scene: str, checkouts: list[Path], steps: int, times: int) -> None:
+def compare(scene: str, checkouts: list[Path], device: str, steps: int, times: int) -> None:
     """Print the row of a scene."""
-    processes = [Runs(where, scene) for where in checkouts]
+    processes = [Runs(where, scene, device) for where in checkouts]
     ways = [(process, (steps,)) for process in processes[1:]]
     ways += [(processes[0], (steps, 1)), (processes[0], (steps, TOGETHER))]
     # The first runs make what later ones find in caches
@@ -80,20 +80,21 @@ def main() -> None:
     parser.add_argument("--before", help="commit to compare with")
     parser.add_argument("--steps", type=int, default=100)
     parser.add_argument("--times", type=int, default=9)
+    parser.add_argument("--device", default="", help="where the sound is computed, for example cuda:0")
     asked = parser.parse_args()
     ways = [*([asked.before] if asked.before else []), "step by step", "blocks"]
     heads = [f"{kind}: {way}" for kind in ("wall [ms]", "CPU [ms]") for way in (*ways, *(f"/ {w}" for w in ways[:-1]))]
     print(f"{processor()}, {os.cpu_count()} cores\n\n| scene | {' | '.join(heads)} |\n|{'---|' * (1 + len(heads))}")
     if asked.before is None:
         for scene in asked.scenes:
-            compare(scene, [ROOT], asked.steps, asked.times)
+            compare(scene, [ROOT], asked.device, asked.steps, asked.times)
         return
     with tempfile.TemporaryDirectory() as folder:
         before, git = Path(folder) / "before", ["git", "-C", str(ROOT), "worktree"]
         subprocess.run([*git, "add", "--quiet", "--detach", str(before), asked.before], check=True)
         try:
             for scene in asked.scenes:
-                compare(scene, [ROOT, before], asked.steps, asked.times)
+                compare(scene, [ROOT, before], asked.device, asked.steps, asked.times)
         finally:
             subprocess.run([*git, "remove", "--force", str(before)], check=True)
 
