@@ -103,10 +103,17 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
         bodies = alike.bodies
     else:
         bodies = tuple(_body(next(skin.config for skin in spec.skins if skin.config.body == name)) for name in names)
-    carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
+    numbers = [names.index(skin.config.body) for skin in spec.skins]
+    carriers = [bodies[number] for number in numbers]
     stimuli = stimuli_of(spec, arrays, board, carriers)
-    layers = None if alike is None else [skin.layer for skin in alike.skins]
-    skins = _skins(spec, stimuli, arrays, board, bodies, names, layers)
+    if alike is not None:
+        layers = [skin.layer for skin in alike.skins]
+    else:
+        layers = layers_for(spec, stimuli, demands_of(spec, stimuli, arrays, board, carriers), carriers)
+    skins = tuple(
+        SkinModel(skin, number, bodies[number], layer, choose_stepper(spec, skin, layer, stimuli))
+        for skin, number, layer in zip(spec.skins, numbers, layers, strict=True)
+    )
     check_overlaps(skins)
     whole = tuple(whole_of(skin.layer) for skin in skins)
     model = HapticModel(spec, arrays, board, stimuli, bodies, skins, (), whole)
@@ -214,14 +221,10 @@ def stimuli_of(
 
     carriers: the body of each skin; responses: of other worlds of the scene; new ones are added
     """
-    strictest = min(skin.config.accuracy for skin in spec.skins)
-    scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
-    stimuli = []
+    responses, stimuli = {} if responses is None else responses, []
     for stimulus in spec.stimuli:
         check_board(stimulus, board)
-        carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
-        own = {} if responses is None else responses
-        stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, own, spread=not scattering))
+        stimuli.append(_stimulus(stimulus, spec, arrays, board, carriers, responses))
     rings = any(stimulus.response.on for stimulus in stimuli)
     stimuli = [replace(stimulus, response=replace(stimulus.response, on=rings)) for stimulus in stimuli]
     for skin in spec.skins:
@@ -234,34 +237,27 @@ def _stimulus(
     scene: SceneSpec,
     arrays: PhasedArray,
     board: Board,
-    carrier: BodyModel | None,
-    accuracy: float,
+    carriers: Sequence[BodyModel],
     responses: Responses,
-    *,
-    spread: bool,
 ) -> StimulusModel:
-    """Make a stimulus with its path and the response of its transducers.
-
-    carrier: the body that its path runs on; accuracy: the strictest of all skins; responses: see `stimuli_of`; spread:
-        whether flight times may differ
-    """
+    """Make a stimulus with its path and the response of its transducers; carriers, responses: see `stimuli_of`."""
     config: StimulusConfig = spec.config
-    path, body = None, None
+    path, course = None, None
     if spec.on_skin is not None:
-        assert carrier is not None
-        body = scene.skins[spec.on_skin].body.transform
+        carrier, body = carriers[spec.on_skin], scene.skins[spec.on_skin].body.transform
         path = _path_on(spec, carrier, body)
+        assert carrier.surface is not None
+        course = SurfaceCourse(path, carrier.surface.vertices, carrier.surface.faces, body)
     length_m = float(path.arc_m[-1]) if config.path == "sites" and path is not None else None
     config = resolved(config, length_m, spec.am_table, scene.driver.duty_exponent, spec.focus_table)
     offsets = np.reshape(config.foci_m, (-1, 3))
     if spec.focus_table is not None and spec.focus_table.foci > 1:
         offsets = np.zeros((spec.focus_table.foci, 3))
-    course = None
-    if path is not None and carrier is not None and carrier.surface is not None and body is not None:
-        course = SurfaceCourse(path, carrier.surface.vertices, carrier.surface.faces, body)
     focal_points = FocalPoints(spec.frame.transform, offsets, course, spec.focus_table, config.foci_arp)
     transducers = np.concatenate([np.arange(arrays.slices[i].start, arrays.slices[i].stop) for i in spec.arrays])
     about = about_stimulus(spec)
+    accuracy = min(skin.config.accuracy for skin in scene.skins)
+    spread = not any(skin.config.body_sound == "scattering" for skin in scene.skins)
     with naming(about[0]):
         amplitude = peak_amplitude(config)
         drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, amplitude, board, about[:1], about)
@@ -309,27 +305,6 @@ def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> "Surfac
 
 
 # -- skins ---------------------------------------------------------------------------------------------------------
-
-
-def _skins(
-    spec: SceneSpec,
-    stimuli: tuple[StimulusModel, ...],
-    arrays: PhasedArray,
-    board: Board,
-    bodies: tuple[BodyModel, ...],
-    names: list[str],
-    layers: list[SceneLayer] | None,
-) -> tuple[SkinModel, ...]:
-    """Return the skins with their layers; layers that are not stored are made here."""
-    if layers is None:
-        carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
-        layers = layers_for(spec, stimuli, demands_of(spec, stimuli, arrays, board, carriers), carriers)
-    skins = []
-    for skin, layer in zip(spec.skins, layers, strict=True):
-        number = names.index(skin.config.body)
-        choice = choose_stepper(spec, skin, layer, stimuli)
-        skins.append(SkinModel(skin, number, bodies[number], layer, choice))
-    return tuple(skins)
 
 
 def demands_of(

@@ -84,12 +84,11 @@ class PosedSurface:
     @property
     def hull(self) -> Float:
         """Return corners of boxes whose convex hull contains the surface, array frame [m], shape (8 b, 3)."""
-        place, turn = self.frame
         boxes = self.model.boxes
         if self.model.hand is not None:
             # A skin point is a weighted mean of one position per bone, and each position lies in the box of that bone
             boxes = boxes @ self.bone_rotations.transpose(0, 2, 1) + self.bone_positions[:, None]
-        return boxes.reshape(-1, 3) @ turn.T + place
+        return self.frame.points(boxes.reshape(-1, 3))
 
     @property
     def faces(self) -> Int:
@@ -158,9 +157,8 @@ class PosedSkin:
     @property
     def obstacle_hull(self) -> Float:
         """Return corners of boxes that contain all obstacles, array frame [m], shape (8 k, 3)."""
-        place, turn = self.body.frame
         boxes = self.skin.obstacle_boxes @ self.obstacle_rotations.transpose(0, 2, 1) + self.obstacle_positions[:, None]
-        return boxes.reshape(-1, 3) @ turn.T + place
+        return self.body.frame.points(boxes.reshape(-1, 3))
 
     @cached_property
     def obstacles(self) -> tuple[Float, Int] | None:

@@ -86,10 +86,6 @@ class SceneGraph(HostBackend):
         self._present_factor = 0.0  # factor on the ARP at sensors
         self._stepped: dict[int, SkinStepper] = {}
 
-    def forget(self) -> None:
-        super().forget()
-        self.course, self.stepped = None, []
-
     def watch(self, skin: int, place: SensorPlace) -> None:
         if (skin, place) not in self._probes:
             self._probes += ((skin, place),)

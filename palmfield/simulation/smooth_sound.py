@@ -61,7 +61,7 @@ class SmoothSound:
         self._commanded: Float = np.zeros((worlds, 0))
         self._ahead: dict[float, Float] = {}
         self._poses: Serials = np.zeros(worlds, np.int64)
-        self._of: list[UnitDrive | None] = [None] * worlds
+        self._of: dict[int, UnitDrive] = {}
         self._first: dict[tuple[float, ...], UnitDrive] = {}  # by pose and point
         self._scales: Float = np.ones(worlds)  # drive of a world over its unit drive
         self._units: Complex = np.zeros((worlds, len(first.arrays)), np.complex128)
@@ -84,7 +84,7 @@ class SmoothSound:
 
     def adopt(self, other: "SmoothSound") -> None:
         """Continue from another one, in a copy of its state in the same PosedScenes."""
-        self._poses, self.serials, self._of = other._poses.copy(), other.serials.copy(), list(other._of)
+        self._poses, self.serials, self._of = other._poses.copy(), other.serials.copy(), dict(other._of)
         self._units, self._powers, self._peaks = other._units.copy(), other._powers.copy(), other._peaks.copy()
         self._first, self._scales = dict(other._first), other._scales.copy()
         self.now, self._known = other.now.copy(), other._known.copy()
@@ -157,9 +157,7 @@ class SmoothSound:
 
     def unit(self, world: int) -> Complex:
         """Return the unit drive of a world that has joined, shape (N,)."""
-        own = self._of[world]
-        assert own is not None
-        return own.amplitudes
+        return self._of[world].amplitudes
 
     def present_factors(self) -> Float:
         """Return ARP at the start of the step relative to that of the unit drives, in the joined worlds, shape (g,)."""
@@ -212,7 +210,6 @@ class SmoothSound:
     def course(self, world: int, levels: Complex, end: complex) -> EmittedCourse:
         """Return the result of `over` for a joined world as a course. levels: shape (m,); end: level at the end."""
         unit = self._of[world]
-        assert unit is not None
         last = end * unit.amplitudes
         return of_unit(unit, levels, last) if np.logical_or.reduce(levels) else silence(len(levels), last)
 
