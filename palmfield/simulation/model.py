@@ -16,7 +16,6 @@ from scipy import sparse
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.config import StimulusConfig
 from palmfield.drive.board import Board
-from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
 from palmfield.hand.force_samples import BY_DEFAULT, SampleMesh, sample_count, sample_mesh
 from palmfield.hand.subdivide import sampling_surface
@@ -320,11 +319,6 @@ class HapticModel:
     def configs(self) -> tuple[StimulusConfig, ...]:
         """Return the keys of the stimuli."""
         return tuple(part.config for part in self.stimuli)
-
-    @cached_property
-    def pole(self) -> Pole:
-        """Return the response of all transducers."""
-        return self.stimuli[0].response.pole
 
     @cached_property
     def response_on(self) -> bool:

@@ -218,7 +218,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     shift = np.exp(2j * np.pi * frequencies * skip * turn / count)
     frequencies, waves = frequencies[kept], (waves * shift)[:, kept]
     # The ARP is proportional to the square of the emission.
-    g = float(model.pole.damping.min()) if model.response_on else math.inf
+    g = float(stimulus.response.pole.damping.min()) if model.response_on else math.inf
     begin: Fade = ((0.0, 1.0), (g, -2.0), (2.0 * g, 1.0)) if model.response_on else ((0.0, 1.0),)
     end: Fade = ((0.0, -1.0), (2.0 * g, 1.0)) if model.response_on else ((0.0, -1.0),)
     events = [(0.0, begin)]
