@@ -1000,8 +1000,8 @@ MUTATIONS = (
         "patterns kept in another pose and drive",
         "step_skins",
         "palmfield/simulation/host_backend.py",
-        "group.worlds[at].tobytes() + group.keys[at].tobytes()",
-        "group.worlds[at].tobytes()",
+        "key = own.tobytes() + group.keys[at].tobytes()",
+        "key = own.tobytes()",
         "tests/simulation/test_scene_graph.py::test_small_models_are_stepped_on_the_device[reduced-sheets2]",
     ),
     Mutation(
