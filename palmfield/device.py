@@ -9,7 +9,11 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Callable, Mapping, Sequence
+import weakref
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +25,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import DeviceError, PalmfieldError, reason_of
 from palmfield.phases import phase
-from warp_kernels import products
 
 KERNELS = "WARP_CACHE_PATH"
 """Environment variable for the folder of compiled Warp kernels."""
@@ -181,33 +184,97 @@ def check_room(needed: int, worlds: int, device: str) -> None:
         )
 
 
-_loading = threading.Lock()
-"""Lock while a kernel's module is loaded. If two threads loaded the same module at once, Warp could give one of them
-code that the other has unloaded."""
+THREADS = 128
+"""In a block, on a GPU."""
 
 
-def load_kernels(module: Any, device: str) -> None:
-    """Load a module of kernels, for example `kernel.module`, before several threads launch kernels from it."""
-    with _loading, phase("kernels"):
-        wp.load_module(module, device=device)
+class _Loader:
+    """A thread that loads modules, one for each set of flags: Warp parses its headers once for both together."""
+
+    def __init__(self) -> None:
+        self.waiting: deque[tuple[Future[None], Callable[[], None]]] = deque()
+        self.busy, self.more = threading.Lock(), threading.Semaphore(0)  # busy: while it loads
+        threading.Thread(target=self._work, name="palmfield-kernels", daemon=True).start()
+
+    def _work(self) -> None:
+        while self.more.acquire():
+            with self.busy, suppress(IndexError):  # none waits when the process ends
+                done, load = self.waiting.popleft()
+                try:
+                    done.set_result(load())
+                except BaseException as error:
+                    done.set_exception(error)
+
+
+_Load = tuple[_Loader, tuple[Future[None], Callable[[], None]]]
+_loads: dict[Any, dict[tuple[str, int], _Load]] = {}
+_loaders: dict[object, _Loader] = {}
+
+
+def _load_of(module: Any, device: str, block_dim: int) -> _Load:
+    """Return the load of a module, which waits behind all others where it was not asked for before."""
+    module = module if isinstance(module, wp.Module) else wp.get_module(module.__name__)
+    loads, key = _loads.setdefault(module, {}), (device, 1 if device == "cpu" else block_dim)
+    if key not in loads:
+        of = module.options["cpu_compiler_flags"] if device == "cpu" else len(_loads) % 4  # as many for a GPU
+        loader = _loaders.get(of) or _loaders.setdefault(of, _Loader())
+        load: _Load = loader, (Future(), functools.partial(wp.load_module, module, device=device, block_dim=key[1]))
+        if loads.setdefault(key, load) is load:  # another thread may have been quicker
+            loader.waiting.append(load[1])
+            loader.more.release()
+    return loads[key]
+
+
+def load_ahead(modules: Iterable[Any], device: str) -> None:
+    """Begin to compile and load modules of kernels, in this order; launches wait for them, and raise the errors."""
+    for module in modules:
+        _load_of(module, device, THREADS)
+
+
+def load_kernels(module: Any, device: str, block_dim: int = THREADS) -> None:
+    """Load a module of kernels, or the one of `kernel.module`, next; block_dim: threads of a GPU's block.
+
+    Raises what Warp raises. Ctrl-C need not wait for the compiler."""
+    loader, load = _load_of(module, device, block_dim)
+    if not load[0].done():
+        with suppress(ValueError):  # it is being loaded
+            loader.waiting.remove(load)
+            loader.waiting.appendleft(load)
+            loader.more.release()  # the thread may have found it missing
+        with phase("kernels"):
+            load[0].exception()
+    load[0].result()
+
+
+def _end_loading() -> None:
+    """Let compilers end what they are at, and begin nothing: they must not run while the process is taken down."""
+    for loader in list(_loaders.values()):
+        loader.waiting.clear()
+        with loader.busy:
+            _loads.clear()
+
+
+weakref.finalize(_Loader, int)  # so that temporary folders, as of Warp's headers, are removed after `_end_loading`
+atexit.register(_end_loading)
+os.register_at_fork(after_in_child=_loaders.clear)  # a forked process has none of the threads
+os.register_at_fork(after_in_child=_loads.clear)
+
+
+def run_kernel(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any] = (), **options: Any) -> Any:
+    """`wp.launch` of a kernel whose module `load_kernels` loads; options: of wp.launch, `device` always."""
+    load_kernels(kernel.module, str(options["device"]), options.get("block_dim", 256))
+    return wp.launch(kernel, dim, inputs, outputs, **options)
 
 
 def launch(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Callable[[], object]:
     """Return a call that launches a kernel with these arguments, as `recorded`, but visible to `wp.ScopedCapture`."""
-    return _command(kernel, dim, inputs, device).launch
-
-
-THREADS = 128
-"""Number of threads in a block on a GPU."""
-
-
-def _command(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
-    with _loading, phase("kernels"):
-        return wp.launch(kernel, dim=dim, inputs=inputs, device=device, block_dim=THREADS, record_cmd=True)
+    return run_kernel(kernel, dim, inputs, device=device, block_dim=THREADS, record_cmd=True).launch
 
 
 def matrix_product(left: Any, right: Any, result: Any, device: str) -> Callable[[], object]:
     """Return a call that sets `result` to left @ right; all are float32 matrices on the device."""
+    from warp_kernels import products
+
     tiles = -(-result.shape[0] // products.ROWS), -(-result.shape[1] // products.COLUMNS)
     # All threads of a block compute one tile together
     return launch(products.product, (*tiles, 1 if device == "cpu" else THREADS), [left, right, result], device)
@@ -340,7 +407,7 @@ def recorded(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], dev
 
     device: of `resolve`; on a GPU blocks have 128 threads
     """
-    command = _command(kernel, dim, inputs, device)
+    command = run_kernel(kernel, dim, inputs, device=device, block_dim=THREADS, record_cmd=True)
     if device != "cpu" or command.block_dim != 1 or not wp.__version__.startswith(DIRECT_LAUNCH):
         return command.launch
     values = command.params[1:]

@@ -6,7 +6,9 @@ surface and of s normal to it. It applies to lit points, where sound flows into 
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from warp_kernels import EXACT
+
+wp.set_module_options(EXACT)
 
 # In C, because `warp_kernels.transfer` uses it in a loop that LLVM must vectorise
 FORMULA = """p_re * n_im - p_im * n_re < 0.0f

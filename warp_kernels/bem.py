@@ -12,10 +12,10 @@ import functools
 
 import warp as wp
 
+from warp_kernels import EXACT, FUSED
 from warp_kernels.pressure import TURN, quintic, vec6
 
-PLAIN = {"enable_backward": False, "max_unroll": 1}
-wp.set_module_options(PLAIN)
+wp.set_module_options(EXACT | {"max_unroll": 1})
 
 FOUR_PI = wp.constant(12.566370614359172)
 NEAREST = wp.constant(1.0e-12)  # keeps 1/d finite at a quadrature point, where the remainder is 0
@@ -25,10 +25,8 @@ NEAREST = wp.constant(1.0e-12)  # keeps 1/d finite at a quadrature point, where 
 def far(width: int) -> wp.Kernel:
     """Return the kernel of the one-point sum with `width` points per thread: 16 fill CPU registers, 1 is for GPUs."""
     lanes = wp.types.vector(length=width, dtype=wp.float32)
-    # Contraction lets LLVM fuse multiply and add across Warp's function calls
-    flags = {"cpu_compiler_flags": "-march=native -ffp-contract=fast", "fast_math": True}
 
-    @wp.kernel(module="unique", module_options=PLAIN | flags)
+    @wp.kernel(module="unique", module_options=FUSED | {"fast_math": True})
     def far(
         points: wp.array(dtype=wp.vec3),
         centroids: wp.array(dtype=wp.vec3),

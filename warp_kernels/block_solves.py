@@ -7,11 +7,10 @@ Blocks are stored as in `warp_kernels.supernodes`, with the inverse of the diago
 
 import warp as wp
 
+from warp_kernels import FUSED
 from warp_kernels.supernodes import WIDTH, Supernodes, lanes
 
-wp.set_module_options(
-    {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": "-march=native -ffp-contract=fast"}
-)
+wp.set_module_options(FUSED)
 
 
 @wp.struct

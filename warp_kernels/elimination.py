@@ -2,7 +2,9 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+from warp_kernels import EXACT
+
+wp.set_module_options(EXACT | {"max_unroll": 1})
 
 
 @wp.kernel

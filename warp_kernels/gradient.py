@@ -9,10 +9,10 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels import FUSED
 from warp_kernels.arp import times
 from warp_kernels.pressure import (
     BLOCK,
-    CPU,
     GPU,
     NEAREST_M2,
     STEEPNESS,
@@ -117,7 +117,7 @@ def gradient(form: Form) -> Any:
     directivity = quartic if form.smooth else quintic
     slope = cubic if form.smooth else quartic
 
-    @wp.kernel(module="unique", module_options=GPU if form.gpu else CPU, enable_backward=False)
+    @wp.kernel(module="unique", module_options=GPU if form.gpu else FUSED)
     def kernel(
         points: wp.array(dtype=vec3),
         origins: wp.array(dtype=vec3),

@@ -20,6 +20,8 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels import FUSED
+
 LANES = 16
 """Number of elements that a CPU thread computes together."""
 
@@ -29,7 +31,7 @@ BLOCK = 128
 READERS = wp.constant(128)
 """Number of threads, after those of the elements, that store the readings."""
 
-CPU_OPTIONS = {"cpu_compiler_flags": "-march=native -ffp-contract=fast"}
+CPU_OPTIONS = {"cpu_compiler_flags": FUSED["cpu_compiler_flags"]}
 
 
 def places(order: int, gpu: bool) -> int:

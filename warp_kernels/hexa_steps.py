@@ -10,6 +10,7 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels import EXACT
 from warp_kernels.hexa import CPU_OPTIONS, LANES, point_reading
 
 NODE_BLOCK = 64
@@ -27,7 +28,7 @@ def geometry(real: Any) -> Any:
     vec3 = wp.types.vector(length=3, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=EXACT)
     def kernel(
         x: wp.array(dtype=wp.vec3d),
         conn: wp.array(dtype=wp.int32),
@@ -306,7 +307,7 @@ def reading(real: Any) -> Any:
     vec3 = wp.types.vector(length=3, dtype=real)
     read = point_reading(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=EXACT)
     def kernel(
         done: wp.array(dtype=wp.int32),
         slots: wp.array(dtype=wp.int32),
@@ -332,7 +333,7 @@ def power_step(real: Any) -> Any:
     """
     vec3 = wp.types.vector(length=3, dtype=real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=EXACT)
     def kernel(
         at: wp.array2d(dtype=wp.int32),
         force: wp.array2d(dtype=real),

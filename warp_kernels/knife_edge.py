@@ -9,8 +9,9 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels import FUSED
 from warp_kernels.outline import LANES, Pieces
-from warp_kernels.pressure import BLOCK, CPU, inverse_root, quintic, vec6
+from warp_kernels.pressure import BLOCK, GPU, inverse_root, quintic, vec6
 
 WIDTH = {"cpu": 16, "gpu": 1}
 """Number of transducers that one thread computes together."""
@@ -67,7 +68,7 @@ def node_weights(gpu: bool) -> Any:
     lanes = wp.types.vector(length=width, dtype=wp.float32)
     of_block = WIDTH["cpu"] // width
 
-    @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
+    @wp.kernel(module="unique", module_options=GPU if gpu else FUSED)
     def kernel(
         nodes: Nodes,
         emitters: Emitters,
@@ -206,7 +207,7 @@ def spread(gpu: bool) -> Any:
     """Return the kernel that interpolates weights from nodes to points; dim: points / BLOCK, GPU: (rows, points)."""
     lanes = wp.types.vector(length=BLOCK, dtype=wp.float32)
 
-    @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
+    @wp.kernel(module="unique", module_options=GPU if gpu else FUSED)
     def kernel(
         neighbours: wp.array2d(dtype=wp.int32),
         shares: wp.array2d(dtype=wp.float32),

@@ -5,9 +5,9 @@ On the CPU, WIDTH modes are adjacent in memory, so that one instruction computes
 
 import warp as wp
 
-wp.set_module_options(
-    {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": "-march=native -ffp-contract=fast"}
-)
+from warp_kernels import FUSED
+
+wp.set_module_options(FUSED)
 
 WIDTH = 8
 lanes = wp.types.vector(length=WIDTH, dtype=wp.float64)

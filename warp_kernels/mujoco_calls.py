@@ -5,7 +5,9 @@ The arguments are addresses of functions and of foreign memory; the kernels do n
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from warp_kernels import EXACT
+
+wp.set_module_options(EXACT)
 
 CALL = """
     typedef void (*function_t)(void*, void*);

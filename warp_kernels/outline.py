@@ -8,9 +8,10 @@ only at visible lines, not at caps. A piece is oriented with the body to its lef
 
 import warp as wp
 
+from warp_kernels import EXACT
 from warp_kernels.point_sound import GRAZING
 
-wp.set_module_options({"enable_backward": False, "fast_math": True})
+wp.set_module_options(EXACT | {"fast_math": True})
 
 RUN = 64
 """Number of edges and faces that one thread processes."""

@@ -9,10 +9,11 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels import FUSED
 from warp_kernels.arp import radiation_pressure, times
 from warp_kernels.pressure import (
     BLOCK,
-    CPU,
+    GPU,
     NEAREST_M2,
     STEEPNESS,
     TURN,
@@ -24,7 +25,7 @@ from warp_kernels.pressure import (
     vec6,
 )
 
-wp.set_module_options({"enable_backward": False, "fast_math": True})
+wp.set_module_options(GPU)
 
 PARTS = 8
 """Numbers of a field: real and imaginary pressure, then those of its gradient over k along x, y and z."""
@@ -52,7 +53,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
     """
     lanes = wp.types.vector(length=rows, dtype=wp.float32)
 
-    @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
+    @wp.kernel(module="unique", module_options=GPU if gpu else FUSED)
     def kernel(
         points: wp.array2d(dtype=wp.vec3),
         normals: wp.array2d(dtype=wp.vec3),

@@ -16,18 +16,15 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels import EXACT, FUSED
+
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
 
 NEAREST_M2 = wp.constant(1.0e-18)  # keeps 1/d finite at an element's own position
 TURN = wp.constant(6.283185307179586)
 STEEPNESS = wp.constant(5.0)  # slope of `from_front` over the cosine: from 0 to 1 between -0.1 and 0.1
 
-CPU = {
-    "max_unroll": 1,  # LLVM vectorises loops, but not loops unrolled by Warp
-    # Contraction lets LLVM fuse multiply and add across Warp's function calls: 20 % faster, with equal accuracy
-    "cpu_compiler_flags": "-march=native -ffp-contract=fast",
-}
-GPU = {"fast_math": True}
+GPU = EXACT | {"fast_math": True}
 BLOCK = 16
 """Number of points whose weights are adjacent in memory, by transducer."""
 
@@ -236,7 +233,7 @@ def pressure(form: Form) -> Any:
     fall = form.fall_of
     directivity = quartic if form.smooth else quintic
 
-    @wp.kernel(module="unique", module_options=GPU if form.gpu else CPU, enable_backward=False)
+    @wp.kernel(module="unique", module_options=GPU if form.gpu else FUSED)
     def kernel(
         points: wp.array(dtype=vec3),
         origins: wp.array(dtype=vec3),
@@ -310,7 +307,7 @@ def pressure(form: Form) -> Any:
     return kernel
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module="unique", module_options=EXACT)
 def sum_of_parts(parts: wp.array2d(dtype=wp.vec2), result: wp.array(dtype=wp.vec2)):
     """Compute the pressure [Pa] by point, from that of each part of the transducers."""
     i = wp.tid()
@@ -326,7 +323,7 @@ def emitted(accurate: bool) -> Any:
     vec4 = wp.vec4d if accurate else wp.vec4
     real = wp.float64 if accurate else wp.float32
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=EXACT)
     def kernel(
         drive: wp.array(dtype=wp.vec2d),
         fall: wp.array(dtype=wp.vec4d),

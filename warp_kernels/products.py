@@ -2,7 +2,9 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from warp_kernels import EXACT
+
+wp.set_module_options(EXACT)
 
 ROWS = 64
 """Number of rows of the result in a tile."""

@@ -2,8 +2,9 @@
 
 import warp as wp
 
-# No adjoints are needed; with unrolled loops they take 20 s to compile.
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+from warp_kernels import EXACT
+
+wp.set_module_options(EXACT | {"max_unroll": 1})
 
 
 @wp.func

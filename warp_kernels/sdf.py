@@ -2,8 +2,9 @@
 
 import warp as wp
 
-# No adjoints are needed; without them the module compiles in half the time.
-wp.set_module_options({"enable_backward": False})
+from warp_kernels import EXACT
+
+wp.set_module_options(EXACT)
 
 FAR = wp.constant(1.0e3)
 

@@ -8,7 +8,9 @@ from typing import Any
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from warp_kernels import EXACT
+
+wp.set_module_options(EXACT)
 
 ROWS = 4
 """Number of pressure patterns per thread, which share the numbers read from the matrix."""
@@ -78,7 +80,7 @@ def lone_modes(rows: int) -> Any:
     """Return the kernel of all substeps of modes whose states have `rows` numbers; dim: (worlds, modes)."""
     numbers, square = of_rows(rows)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=EXACT)
     def kernel(
         advance: wp.array(dtype=square),
         inputs: wp.array(dtype=numbers),
@@ -111,7 +113,7 @@ def modes_of_worlds(rows: int) -> Any:
     """Return the kernel of all substeps of modes with `rows` numbers in several worlds; dim: (worlds, modes)."""
     numbers, square = of_rows(rows)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=EXACT)
     def kernel(
         advance: wp.array(dtype=square),
         inputs: wp.array(dtype=numbers),

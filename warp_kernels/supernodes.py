@@ -10,9 +10,9 @@ Blocks are stored in groups of WIDTH rows, in the order in which both passes rea
 
 import warp as wp
 
-wp.set_module_options(
-    {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": "-march=native -ffp-contract=fast"}
-)
+from warp_kernels import FUSED
+
+wp.set_module_options(FUSED)
 
 WIDTH = 16
 lanes = wp.types.vector(length=WIDTH, dtype=wp.float64)

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from warp_kernels import FUSED
 from warp_kernels.arp import FORMULA, radiation_pressure
 from warp_kernels.pressure import (
     NEAREST_M2,
@@ -15,9 +16,7 @@ from warp_kernels.pressure import (
     quintic,
 )
 
-wp.set_module_options(
-    {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": "-march=native -ffp-contract=fast"}
-)
+wp.set_module_options(FUSED)
 
 WIDTH = 16
 lanes = wp.types.vector(length=WIDTH, dtype=wp.float32)

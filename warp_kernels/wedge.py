@@ -2,6 +2,10 @@
 
 import warp as wp
 
+from warp_kernels import EXACT
+
+wp.set_module_options(EXACT)
+
 
 @wp.kernel
 def wedge_gradients(

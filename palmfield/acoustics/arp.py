@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
-from palmfield.device import resolve
+from palmfield.device import resolve, run_kernel
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Air, Complex, Field, Float, Float32
 from warp_kernels import arp as kernels
@@ -109,7 +109,7 @@ def arp(
     pressure = np.ascontiguousarray(field.pressure, np.complex64).view(np.float32).reshape(count, 2)
     gradient = np.ascontiguousarray(field.gradient, np.complex64).view(np.float32).reshape(count, 3, 2)
     result = wp.empty(count, dtype=wp.float32, device=device)
-    wp.launch(
+    run_kernel(
         kernels.arp,
         dim=count,
         inputs=[

@@ -5,7 +5,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from palmfield.acoustics.polynomials import sine_cosine
-from palmfield.device import load_kernels
+from palmfield.device import run_kernel
 from palmfield.hand.triangles import face_normals
 from palmfield.threads import cores, pool
 from palmfield.types import Complex, Float, Int
@@ -75,7 +75,7 @@ class DoubleLayer:
         grid.build(self.centroids, radius=largest)
         count = wp.zeros(self.count, dtype=int, device=self.device)
         inputs = [grid.id, self.points, self.centroids, reach, largest, count]
-        wp.launch(kernels.near_count, dim=self.count, inputs=inputs, device=self.device)
+        run_kernel(kernels.near_count, dim=self.count, inputs=inputs, device=self.device)
         start = np.zeros(self.count + 1, np.int32)
         np.cumsum(count.numpy(), out=start[1:])
         self.start: wp.array = wp.array(start, dtype=int, device=self.device)
@@ -84,7 +84,7 @@ class DoubleLayer:
         rule: wp.array = wp.array(RULE.astype(np.float32), dtype=wp.vec4, device=self.device)
         inputs = [grid.id, self.points, self.centroids, self.moments, corners, reach, largest, rule, self.softening]
         inputs += [wp.array(own.astype(np.int32), dtype=int, device=self.device), self.start, self.column, self.value]
-        wp.launch(kernels.near_fill, dim=self.count, inputs=inputs, device=self.device)
+        run_kernel(kernels.near_fill, dim=self.count, inputs=inputs, device=self.device)
 
     def apply(self, density: Complex) -> Complex:
         """Return the values at the points, shape (n,), of a density by triangle, shape (m,)."""
@@ -96,14 +96,14 @@ class DoubleLayer:
             self._far_on_cpu(values, result)
         else:
             parts = max(1, GPU_THREADS // self.count)
-            wp.launch(
+            run_kernel(
                 kernels.far(1),
                 (self.count, parts),
                 [*self.summands(self.points, values, parts), result],
                 device=self.device,
             )
         inputs = [self.start, self.column, self.value, values, result]
-        wp.launch(kernels.near_apply, dim=self.count, inputs=inputs, device=self.device)
+        run_kernel(kernels.near_apply, dim=self.count, inputs=inputs, device=self.device)
         return result.numpy().view(np.complex64)[:, 0].astype(np.complex128)
 
     def pairs(self, density: Complex) -> wp.array:
@@ -118,14 +118,13 @@ class DoubleLayer:
     def _far_on_cpu(self, density: wp.array, result: wp.array) -> None:
         """Compute one slice of the points per thread; Warp releases the GIL while a kernel runs."""
         kernel = kernels.far(CPU_WIDTH)
-        load_kernels(kernel.module, "cpu")
         threads = cores()
         size = -(-self.count // (threads * CPU_WIDTH)) * CPU_WIDTH
 
         def run(first: int) -> None:
             part = slice(first, min(first + size, self.count))
             blocks = -(-(part.stop - part.start) // CPU_WIDTH)
-            wp.launch(kernel, (blocks, 1), [*self.summands(self.points[part], density, 1), result[part]], device="cpu")
+            run_kernel(kernel, (blocks, 1), [*self.summands(self.points[part], density, 1), result[part]], device="cpu")
 
         for job in [pool().submit(run, first) for first in range(0, self.count, size)]:
             job.result()

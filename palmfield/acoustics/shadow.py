@@ -5,7 +5,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from palmfield.acoustics import check
-from palmfield.device import resolve
+from palmfield.device import resolve, run_kernel
 from palmfield.errors import PalmfieldError
 from palmfield.types import Float32, Surface
 from warp_kernels import shadow as kernels
@@ -61,7 +61,7 @@ def visibility(
         clearance_m,
         result,
     ]
-    wp.launch(kernels.visibility, dim=len(where), inputs=inputs, device=device)
+    run_kernel(kernels.visibility, dim=len(where), inputs=inputs, device=device)
     return np.clip(result.numpy(), 0.0, 1.0)
 
 

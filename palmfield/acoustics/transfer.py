@@ -14,7 +14,7 @@ from palmfield.acoustics.arp import ArpLaw, arp, law_named, law_weights, unit_no
 from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall
 from palmfield.acoustics.groups import axes
 from palmfield.blas import one_blas_thread
-from palmfield.device import SharedArray, available_bytes, load_kernels, matrix_product, recorded
+from palmfield.device import SharedArray, available_bytes, matrix_product, recorded, run_kernel
 from palmfield.errors import PalmfieldError
 from palmfield.threads import pool, share
 from palmfield.types import Complex, Float, Float32
@@ -90,7 +90,6 @@ class Transfer:
         strength = array.p0_Pa_m * polynomial_fall(evaluator.absorption_Np_m, low, high)
         place: Any = wp.array(points, dtype=wp.vec3, device="cpu", copy=False)
         turn: Any = wp.array(axes(normals.astype(float)).astype(np.float32), dtype=wp.mat33, device="cpu")
-        load_kernels(kernels, "cpu")
 
         def run(first: int, stop: int) -> None:
             inputs = [
@@ -103,7 +102,7 @@ class Transfer:
                 wp.array(result[first:stop], dtype=wp.float32, device="cpu", copy=False),
             ]
             dim = (-(-len(points) // kernels.WIDTH), stop - first)
-            wp.launch(kernels.matrix, dim=dim, inputs=inputs, device="cpu")
+            run_kernel(kernels.matrix, dim=dim, inputs=inputs, device="cpu")
 
         bounds = np.linspace(0, len(array), evaluator.threads + 1).astype(int)
         list(pool().map(run, bounds[:-1], bounds[1:]))
@@ -199,7 +198,7 @@ class Transfer:
             rows = stacked[first : min(first + step, len(left))]
             matrix_product(rows, right, parts[: rows.shape[0]], device)()
             inputs = [parts, weights, first, result]
-            wp.launch(kernels.arp_columns, dim=(rows.shape[0], self.points), inputs=inputs, device=device)
+            run_kernel(kernels.arp_columns, dim=(rows.shape[0], self.points), inputs=inputs, device=device)
         return result
 
     def _gpu_matrix(self, basis: NDArray[np.complex64] | None) -> Any:

@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 
 import warp_kernels.mesh_query as kernels
-from palmfield.device import resolve
+from palmfield.device import resolve, run_kernel
 from palmfield.types import Float, Int
 
 GRAZING_COSINE = 0.05
@@ -22,7 +22,7 @@ def closest_faces(mesh: wp.Mesh, points: Float, reach_m: float) -> Int:
     """Return the nearest face of each point, shape (n,); -1 if none is within `reach_m`."""
     out = wp.empty(len(points), dtype=wp.int32, device="cpu")
     at: wp.array = wp.array(points.astype(np.float32), dtype=wp.vec3, device="cpu")
-    wp.launch(kernels.closest_face, dim=len(points), inputs=[mesh.id, at, reach_m], outputs=[out], device="cpu")
+    run_kernel(kernels.closest_face, dim=len(points), inputs=[mesh.id, at, reach_m], outputs=[out], device="cpu")
     return out.numpy()
 
 
@@ -56,7 +56,7 @@ def exit_distances(vertices: Float, faces: Int, origins: Float, directions: Floa
     out = wp.empty(len(origins), dtype=wp.int32, device="cpu")
     at: wp.array = wp.array(origins.astype(np.float32), dtype=wp.vec3, device="cpu")
     along: wp.array = wp.array(directions.astype(np.float32), dtype=wp.vec3, device="cpu")
-    wp.launch(
+    run_kernel(
         kernels.exit_face,
         dim=len(origins),
         inputs=[mesh.id, at, along, 1e-5, reach_m, GRAZING_COSINE],

@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 
 import warp_kernels.selfcross as kernels
-from palmfield.device import resolve
+from palmfield.device import resolve, run_kernel
 from palmfield.types import Float, Int
 
 
@@ -31,7 +31,7 @@ def crossings(vertices: Float, faces: Int) -> Int:
     while True:
         count = wp.zeros(1, dtype=wp.int32, device=device)
         pairs = wp.zeros((room, 2), dtype=wp.int32, device=device)
-        wp.launch(
+        run_kernel(
             kernels.crossing_faces, dim=len(faces), inputs=[mesh.id, at, corners, margin, count, pairs], device=device
         )
         needed = int(count.numpy()[0])

@@ -12,7 +12,7 @@ import warp as wp
 
 import warp_kernels.sdf as kernels
 from palmfield import cache
-from palmfield.device import resolve
+from palmfield.device import load_kernels, resolve, run_kernel
 from palmfield.errors import SceneError
 from palmfield.hand import preset as preset_module
 from palmfield.hand import skeleton as skeleton_module
@@ -28,6 +28,7 @@ from palmfield.hand.skeleton import (
 )
 from palmfield.hand.triangles import adjacency, neighbour_mean, vertex_normals
 from palmfield.types import Float, Int, Surface
+from warp_kernels import EXACT
 
 GRADIENT_STEP_m = 1e-4
 # The memory layout of warp_kernels.sdf.Segment.
@@ -153,7 +154,7 @@ def _distance_and_gradient(segments: wp.array, points: Float) -> tuple[Float, Fl
     distance = wp.empty(len(points), dtype=wp.float32, device="cpu")
     gradient = wp.empty(len(points), dtype=wp.vec3, device="cpu")
     blends = [THUMB_BLEND_m, FINGER_BLEND_m, BETWEEN_FINGERS_BLEND_m]
-    wp.launch(
+    run_kernel(
         kernels.hand_distance_at_points,
         dim=len(points),
         inputs=[segments, *blends, at, GRADIENT_STEP_m],
@@ -185,6 +186,8 @@ def _generate(skeleton: Skeleton, edge_m: float) -> cache.Arrays:
     import trimesh
     from warp.geometry import IsoSurfaceMarchingCubes
 
+    cubes = wp.get_module("warp.geometry.marching_cubes")
+    cubes.options |= EXACT  # for whose flags Warp has parsed its headers
     segments = _segments(skeleton)
     step = edge_m / EDGE_PER_VOXEL
     ends = np.array([end for s in skeleton.skin for end in (s.start, s.end)])
@@ -194,7 +197,7 @@ def _generate(skeleton: Skeleton, edge_m: float) -> cache.Arrays:
     shape = np.ceil((ends.max(axis=0) + widest + 3.0 * step - lower) / step).astype(int)
     field: Any = wp.empty(tuple(shape.tolist()), dtype=wp.float32, device="cpu")
     blends = [THUMB_BLEND_m, FINGER_BLEND_m, BETWEEN_FINGERS_BLEND_m]
-    wp.launch(
+    run_kernel(
         kernels.hand_distance_on_grid,
         dim=field.shape,
         inputs=[segments, *blends, wp.vec3(*lower), step],
@@ -202,6 +205,7 @@ def _generate(skeleton: Skeleton, edge_m: float) -> cache.Arrays:
         device="cpu",
     )
     upper = lower + step * (shape - 1)
+    load_kernels(cubes, "cpu")
     points, indices = IsoSurfaceMarchingCubes.extract(field, 0.0, lower=wp.vec3(*lower), upper=wp.vec3(*upper))
     vertices = points.numpy().astype(np.float64)
     faces = indices.numpy().reshape(-1, 3).astype(np.int32)

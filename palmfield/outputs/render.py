@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
-from palmfield.device import resolve, whole_numbers
+from palmfield.device import resolve, run_kernel, whole_numbers
 from palmfield.errors import OutputError
 from palmfield.outputs.camera import AZIMUTH_DEG, Camera, look_along_emission
 from palmfield.outputs.frames import arrays_of, bodies, foci_at, in_world, loudest, nearest, pose_at, to_local, to_world
@@ -291,7 +291,7 @@ def cast(
         for start in range(0, len(pixels), BAND_PIXELS):
             band = whole_numbers(pixels[start : start + BAND_PIXELS])
             given = [*inputs, samples, quality[1], band]
-            launched = wp.launch(raycast.render, len(band), given, [image], device=device, record_cmd=True)
+            launched = run_kernel(raycast.render, len(band), given, [image], device=device, record_cmd=True)
             bands.append((launched.launch,))
         share(bands, cores())
 

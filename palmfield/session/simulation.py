@@ -14,6 +14,7 @@ from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_delayed
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
 from palmfield.session.open_scene import Options, Source, compiled
+from palmfield.simulation.build import load_for_sound
 from palmfield.simulation.step import Steps
 from palmfield.types import Complex, Float
 
@@ -70,6 +71,7 @@ class Simulation:
             raise SceneError("poses are given without worlds; allowed: both, or poses of a scene by `palmfield.motion`")
         name, _, data = compiled(scene, **options)
         self._attach(name, OneWorld(data, name), scene, None)
+        load_for_sound(self.runtime.model)
         with interrupts_delayed():
             self._scenes.look()
 

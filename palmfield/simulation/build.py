@@ -13,6 +13,7 @@ import numpy as np
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.config import SkinConfig, StimulusConfig
 from palmfield.config.base import naming_keys
+from palmfield.device import load_ahead
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS, board_of
@@ -44,6 +45,7 @@ from palmfield.stimulus.resolved import resolved
 from palmfield.stimulus.schedule import frame_at, main_frequencies, plane_path, zigzag_stroke_m
 from palmfield.transforms import Transform
 from palmfield.types import Float
+from warp_kernels import arp, mesh_query, sdf
 
 if TYPE_CHECKING:
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
@@ -118,6 +120,16 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     whole = tuple(whole_of(skin.layer) for skin in skins)
     model = HapticModel(spec, arrays, board, stimuli, bodies, skins, (), whole)
     return replace(model, begin=tuple(Lazy(partial(first_stepper, model, number)) for number in range(len(skins))))
+
+
+def load_for_sound(model: HapticModel) -> None:
+    """Begin to load the kernels of the sound on skins without effects of bodies, which threads of the CPU compile."""
+    field = model.arrays.field
+    for skin in model.spec.skins:
+        if skin.config.body_sound == "none" and field.device == "cpu":
+            centre = skin.body.transform.points(np.array(skin.patch_centre)).tolist()
+            kernels = [one.kernel(one.fall(centre, centre, True)[0], True, faced=True) for one in field.evaluators]
+            load_ahead([arp, *(kernel.module for kernel in kernels)], "cpu")
 
 
 def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
@@ -197,6 +209,7 @@ def _new_body(skin: SkinConfig) -> BodyModel:
         joint, _ = joint_of_body(skin.body, mesh.joints)
         rigged = skinned_mesh(mesh, mesh.joints.rest[joint, :3, 3])
         return BodyModel(skin.body, rigged.surface, rigged, skin.depth_m)
+    load_ahead((sdf, mesh_query), "cpu")
     preset = load_preset(skin.hand)
     hand = hand_surface(preset)
     if skin.shape != "articulated":

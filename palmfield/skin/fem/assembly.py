@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from scipy import sparse
 
-from palmfield.device import resolve
+from palmfield.device import load_ahead, resolve, run_kernel
 from palmfield.errors import SceneError
 from palmfield.locked import Lazy
 from palmfield.phases import phase
@@ -20,7 +20,7 @@ from palmfield.skin.mesh.element import corner_slopes, displacement_shape, prism
 from palmfield.skin.mesh.ordering import dissection_order
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.types import Float, Int
-from warp_kernels import wedge
+from warp_kernels import block_solves, elimination, wedge
 
 
 @dataclass(frozen=True)
@@ -278,6 +278,7 @@ def element_matrices(mesh: WedgeMesh) -> tuple[Float, Float, Float]:
     basis = volume_basis(points)
     count, quad, funcs, nodes = len(mesh.elements), len(points), basis.shape[1], mesh.elements.shape[1]
     device = resolve("cpu")
+    load_ahead((wedge, elimination, block_solves), device)  # matrices are factorised next
 
     def upload(values: Float, dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device=device)
@@ -288,7 +289,7 @@ def element_matrices(mesh: WedgeMesh) -> tuple[Float, Float, Float]:
     gradients = room((count, quad, nodes), wp.vec3d)
     weights = room((count, quad), wp.float64)
     corners = upload(mesh.nodes[mesh.elements[:, [0, 1, 2, 12, 13, 14]]], wp.vec3d)
-    wp.launch(
+    run_kernel(
         wedge.wedge_gradients,
         dim=(count, quad),
         inputs=[corners, upload(corner_slopes(points), wp.vec3d), upload(slopes, wp.vec3d), upload(rule, wp.float64)],
@@ -297,7 +298,7 @@ def element_matrices(mesh: WedgeMesh) -> tuple[Float, Float, Float]:
     )
     constraint = room((count, funcs, nodes), wp.vec3d)
     gram = room((count, funcs, funcs), wp.float64)
-    wp.launch(
+    run_kernel(
         wedge.wedge_constraint,
         dim=(count, funcs),
         inputs=[gradients, weights, upload(basis, wp.float64)],
@@ -308,7 +309,7 @@ def element_matrices(mesh: WedgeMesh) -> tuple[Float, Float, Float]:
     volumetric = room((count, nodes, nodes), wp.mat33d)
     mass = room((count, nodes, nodes), wp.float64)
     inverse = upload(np.linalg.inv(gram.numpy()), wp.float64)
-    wp.launch(
+    run_kernel(
         wedge.wedge_matrices,
         dim=(count, nodes, nodes),
         inputs=[gradients, weights, upload(values, wp.float64), constraint, inverse],

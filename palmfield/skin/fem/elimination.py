@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.linalg import lapack
 
 from palmfield.blas import one_blas_thread
-from palmfield.device import load_kernels, whole_numbers
+from palmfield.device import run_kernel, whole_numbers
 from palmfield.threads import cores, share
 from palmfield.types import Complex, Float, Int
 from warp_kernels import elimination as kernels
@@ -83,9 +83,8 @@ def supernodes(matrix: sparse.csc_matrix) -> list[Supernode]:
 def _tree(matrix: sparse.csr_matrix) -> tuple[Int, Int]:
     count = matrix.shape[0]
     above, parent, below = (wp.zeros(count, dtype=wp.int32, device="cpu") for _ in range(3))
-    load_kernels(kernels, "cpu")
     inputs = [whole_numbers(matrix.indptr), whole_numbers(matrix.indices), above, parent, below]
-    wp.launch(kernels.elimination_tree, 1, inputs=inputs, device="cpu")
+    run_kernel(kernels.elimination_tree, 1, inputs=inputs, device="cpu")
     return parent.numpy(), below.numpy()
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from palmfield.device import load_kernels
+from palmfield.device import run_kernel
 from palmfield.skin.problem import Load
 from palmfield.skin.solvers.lateral_waves.drive import Timeline, drive
 from palmfield.skin.solvers.lateral_waves.waves import WaveSet
@@ -64,7 +64,6 @@ def march(
     fixed: list[Any] = [wp.array(values.ravel(), dtype=kind, device=device) for values, kind in shared]
     after: Any = wp.array(line.rows, dtype=wp.int32, device=device)
     segments = len(line.kind)
-    load_kernels(kernels, device)
 
     def run(part: slice) -> Float:
         group = waves.group[part]
@@ -83,7 +82,7 @@ def march(
             wp.zeros(count * 2 * width, dtype=wp.float64, device=device),
             result,
         ]
-        wp.launch(kernels.march, dim=count, inputs=inputs, device=device)
+        run_kernel(kernels.march, dim=count, inputs=inputs, device=device)
         return to_points(part, result.numpy().view(complex).reshape(rows, count, 4))
 
     size = max(1, min(CHUNK_NUMBERS // (7 * segments + 8 * rows), -(-len(waves) // LEAST_CHUNKS)))

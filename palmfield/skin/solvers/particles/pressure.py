@@ -4,6 +4,7 @@ import numpy as np
 import warp as wp
 from scipy import sparse
 
+from palmfield.device import run_kernel
 from palmfield.skin.fem.load import halvings_for, quartered_rule
 from palmfield.skin.fem.traction import face_pressure
 from palmfield.skin.problem import GAUSSIAN, Law, Load, Spot, Traction, between
@@ -57,7 +58,7 @@ class Pressure:
             return
         peak = means(load.times_s, load.peak_Pa, load.law, times_s, step_s)
         centre = between(load, load.centres(), times_s)
-        wp.launch(
+        run_kernel(
             kernels.spot_pressure,
             dim=(len(times_s), table.shape[1]),
             inputs=[

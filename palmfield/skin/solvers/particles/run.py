@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from palmfield.device import gather, resolve, scatter
+from palmfield.device import gather, resolve, run_kernel, scatter
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material
 from palmfield.skin.solvers.particles.cloud import Cloud
@@ -120,8 +120,8 @@ class Particles:
     def net_forces(self) -> Float:
         """Internal force on each particle in the present state [N], shape (n, 3); moves the branches by one step."""
         total = self._room(len(self.cloud.points), wp.vec3)
-        wp.launch(kernels.site_forces, dim=len(self.cloud.owner), inputs=self._site_inputs(), device=self.device)
-        wp.launch(
+        run_kernel(kernels.site_forces, dim=len(self.cloud.owner), inputs=self._site_inputs(), device=self.device)
+        run_kernel(
             kernels.sum_forces, dim=len(self.cloud.points), inputs=[*self.sums, self.force, total], device=self.device
         )
         return total.numpy().astype(np.float64)
@@ -133,7 +133,7 @@ class Particles:
 
         reader: of points, before each step
         """
-        sites = wp.launch(
+        sites = run_kernel(
             kernels.site_forces, dim=len(self.cloud.owner), inputs=self._site_inputs(), device=self.device,
             record_cmd=True,
         )  # fmt: skip
@@ -145,7 +145,7 @@ class Particles:
             if reader is not None:
                 reader.read(self.displacement, row)
             sites.launch()
-            wp.launch(
+            run_kernel(
                 kernels.move,
                 dim=len(self.cloud.points),
                 inputs=[*before, *face, row, *after, *state],
@@ -212,7 +212,7 @@ class Reader:
         self.rows = wp.zeros((BLOCK, self.count), dtype=wp.vec3, device=device)
 
     def read(self, displacement: wp.array, row: int) -> None:
-        wp.launch(
+        run_kernel(
             kernels.read_points,
             dim=self.count,
             inputs=[self.particles, self.weights, displacement, row, self.rows],

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from palmfield.device import run_kernel
 from palmfield.errors import SceneError
 from palmfield.skin.base import BaseKind, SideKind, Springs
 from palmfield.skin.materials.material import Material
@@ -81,7 +82,7 @@ class Model:
         self.metric = wp.zeros((11, layout.count), dtype=self.real, device=device)
         volume = wp.zeros(layout.count, dtype=self.real, device=device)
         determinant = wp.zeros(layout.count, dtype=self.real, device=device)
-        wp.launch(
+        run_kernel(
             hexa_steps.geometry(self.real),
             dim=layout.count,
             inputs=[
@@ -160,7 +161,7 @@ class Model:
         layout, order = self.layout, self.solid.order
         block = max(hexa.BLOCK, hexa.places(order, True))
         threads = layout.count if layout.gpu else layout.padded // hexa.LANES
-        return wp.launch(
+        return run_kernel(
             self.kernel,
             dim=threads + READERS,
             inputs=[
@@ -190,7 +191,7 @@ class Model:
         # The first Rayleigh quotient is that of a vector that is not normalised
         for _ in range(ROUNDS + 1):
             self.launch(start, start, own, own, moduli, spare)
-            wp.launch(
+            run_kernel(
                 hexa_steps.power_step(self.real),
                 dim=len(self.solid.elements),
                 inputs=[self.at, self.force, there, start, rate],

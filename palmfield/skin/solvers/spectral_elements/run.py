@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from palmfield.device import gather, scatter
+from palmfield.device import gather, run_kernel, scatter
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material, Relaxation
 from palmfield.skin.solvers.spectral_elements.loads import Table
@@ -190,7 +190,7 @@ class Stepper:
                 force=self.force,
                 record_cmd=True,
             ),
-            wp.launch(
+            run_kernel(
                 hexa_steps.node_step(model.real, self.table.moving, len(self.law_ends) == 1, model.layout.gpu),
                 dim=self.threads,
                 inputs=[
@@ -230,7 +230,7 @@ class Stepper:
         for _ in range(left):
             self._step()
         self.done += steps
-        wp.launch(
+        run_kernel(
             hexa_steps.reading(self.model.real),
             dim=len(self.read_nodes),
             inputs=[
