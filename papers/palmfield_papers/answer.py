@@ -50,7 +50,7 @@ class Answer:
 
     def __post_init__(self) -> None:
         if self.value is None and not self.note:
-            raise ValueError("an answer without a value needs a note that says why")
+            raise ValueError("an answer without a value needs a note with the reason")
         for number in (self.value, self.error, self.margin, self.against):
             if number is not None and not math.isfinite(number):
                 raise ValueError(f"an answer has {number}: give None and a note where there is no number")

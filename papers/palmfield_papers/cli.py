@@ -13,10 +13,12 @@ def papers(
         list[str] | None,
         typer.Argument(help="chilles2019, reardon2023, mizushima2024, hasegawa2018, or all", metavar="[PAPER]..."),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="coarser runs, for answers in minutes")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="coarser runs, which take minutes")] = False,
     out: Annotated[Path, typer.Option(help="folder for pages, figures and rows.json")] = Path("out/papers"),
-    device: Annotated[str, typer.Option(help="where kernels run that can run on a GPU: cpu or cuda")] = "cpu",
-    jobs: Annotated[int, typer.Option(min=1, help="papers computed side by side, some 3 GB of memory each")] = 1,
+    device: Annotated[str, typer.Option(help="device of the kernels that can run on a GPU: cpu or cuda")] = "cpu",
+    jobs: Annotated[
+        int, typer.Option(min=1, help="number of papers computed in parallel, about 3 GB of memory each")
+    ] = 1,
     only: Annotated[
         list[str] | None,
         typer.Option(help="only this number of docs/gallery/tolerances.toml, printed; may be repeated", metavar="ID"),

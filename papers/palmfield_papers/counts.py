@@ -14,21 +14,21 @@ SHARE = 3
 
 
 WEIGHTLESS = {
-    "C14c": "a factor of 2, which the order of a filter that the paper does not name takes up alone",
-    "C19f": "a high-pass that leaves next to nothing of a comparisons focus; without it the ratio is 0.45",
-    "C21a": "the focus runs on the circle where the largest motion is looked for",
-    "C21b": "the motion far from the focus, against half of that under it",
-    "C21c": "the motion far from the circle, against that under the focus",
-    "C21d": "the focus itself runs over a larger area",
+    "C14c": "the order of the filter, which the paper does not name, changes it by the tolerance, a factor of 2",
+    "C19f": "the high-pass removes almost all motion of a held focus; without it the ratio is 0.45",
+    "C21a": "the focus moves on the circle on which the largest motion is sought",
+    "C21b": "it compares the motion far from the focus with half of that under it",
+    "C21c": "it compares the motion far from the circle with that under the focus",
+    "C21d": "the focus itself moves over a larger area",
     "R11f": "the focus turns at the corners and rests there longer",
-    "R12l": "a rate twice as low differs more from the highest, whatever the slab does",
-    "R16-R18l": "a longer way in the same time leaves a longer wake",
+    "R12l": "for any slab, half the rate differs more from the highest rate",
+    "R16-R18l": "a longer path in the same time leaves a longer wake",
     "R20d": "a spot that passes faster is a shorter pulse",
     "R20e": "a spot that passes faster is a shorter pulse",
-    "H6d": "sounds in step add up to more than with any other phases",
+    "H6d": "sounds in phase have the largest possible sum",
     "H12a": "the sound does not depend on the modulation frequency without the transducers' response",
     "H17a": "delays rounded to 1/50 of a period move a focus by far less than 1 mm",
-    "H22a": "34 dB lie between both sides",
+    "H22a": "both sides differ by 34 dB",
 }
 """Agreements that no answer of a run could have changed, with the reason. They were found after the first runs, from
 the derivation of each number; verdicts are unchanged, and these are counted separately."""

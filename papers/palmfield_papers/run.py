@@ -135,7 +135,7 @@ def _paper(name: str, report: Report, *, setting: Setting, out: Path) -> Done:
     seconds = time.process_time() - started
     _write_rows(folder / ROWS, head | {"seconds": round(seconds, 1)}, book_, found)
     command = f"palmfield papers {one.name}{' --quick' if setting.quick else ''}"
-    cut = " It was cut off: rows or figures are missing." if interrupted else ""
+    cut = " The run was interrupted: rows or figures are missing." if interrupted else ""
     made = (
         f"Written by `{command}` at commit {head['commit']}, in {seconds:.0f} s of processor ({head['processor']}, "
         f"kernels on {setting.device}).{cut}"

@@ -41,7 +41,9 @@ def distance_in_tolerances(ours: float, paper: float, kind: str, value: float) -
         return 1.0 - abs(math.log(ours / paper)) / math.log(value)
     if kind in ("absolute_degrees", "dB"):
         return 1.0 - abs(ours - paper) / value
-    raise MeasurementError(f"tolerance of kind '{kind}' holds no two numbers; allowed: relative, factor, degrees, dB")
+    raise MeasurementError(
+        f"tolerance of kind '{kind}' does not compare two numbers; allowed: relative, factor, degrees, dB"
+    )
 
 
 def compared(entry: Entry, answer: Answer) -> Comparison | None:
@@ -60,7 +62,7 @@ def compared(entry: Entry, answer: Answer) -> Comparison | None:
         # Inside a range the distance is 1; outside it is that to the nearer end
         paper = min(max(answer.value, min(paper)), max(paper))
     if not isinstance(paper, int | float):
-        raise MeasurementError(f"entry {entry.id} has value {entry.value!r}, which no number can be held against")
+        raise MeasurementError(f"entry {entry.id} has value {entry.value!r}, which cannot be compared with a number")
     distance = distance_in_tolerances(answer.value, float(paper), entry.tolerance.kind, entry.tolerance.value)
     return Comparison(bool(distance >= 0.0), float(distance))
 

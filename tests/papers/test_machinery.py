@@ -260,7 +260,7 @@ def test_ctrl_c_leaves_a_page_of_what_is_done(tmp_path, monkeypatch):
         running.papers(["nobody2020"], out=tmp_path)
     rows = json.loads((tmp_path / "nobody2020" / "rows.json").read_text())["rows"]
     assert [one["id"] for one in rows] == ["N1a"]
-    assert "cut off" in (tmp_path / "nobody2020" / "README.md").read_text()
+    assert "interrupted" in (tmp_path / "nobody2020" / "README.md").read_text()
 
 
 def test_counts_have_every_verdict():

@@ -83,7 +83,7 @@ def of_size(kind: str, number: Callable[..., float]) -> tuple[Cause, ...]:
             size_with(kind, number, probe=lambda one: replace(one, phase="zero_phase")),
         ),
         Cause(
-            "the head looks straight down", size_with(kind, number, probe=lambda one: replace(one, incidence_deg=0.0))
+            "the head points straight down", size_with(kind, number, probe=lambda one: replace(one, incidence_deg=0.0))
         ),
         Cause(
             "both moduli one standard deviation higher",

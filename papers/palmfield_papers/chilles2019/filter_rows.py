@@ -82,7 +82,7 @@ def peak_in_range(order: int, least: float, most: float) -> Compute:
         trace = measured(case_of(setting), "step", Probe(order=order))
         value = -peak_of(trace)
         where = "inside" if least <= value <= most else "outside"
-        return Answer(None, note=f"{value:.3g} um, {where} of {least:g} to {most:g} um; a range is not held against")
+        return Answer(None, note=f"{value:.3g} um, {where} of {least:g} to {most:g} um; a range is not compared")
 
     return compute
 

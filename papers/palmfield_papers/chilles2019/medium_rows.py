@@ -86,7 +86,7 @@ def rate_law(setting: Setting) -> Answer:
         "as printed, taken in SI numbers, Pa": ecoflex_rate_law_as_printed(),
         "with the last dot taken as a slip, Pa": abs(mixed),
     }
-    return Answer(None, note="words; what each law gives at 200 Hz stands among what is shown", shown=shown)
+    return Answer(None, note="words; the values of each law at 200 Hz are among those shown", shown=shown)
 
 
 def rayleigh_ratio(setting: Setting) -> Answer:

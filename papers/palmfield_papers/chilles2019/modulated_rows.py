@@ -262,7 +262,7 @@ def least_rms(setting: Setting) -> Answer:
     """Return the rms of -A (1 + sin), whose maximum is 0, with a peak-to-peak value of 2.19 um."""
     times = np.arange(4000) / 80e3
     wave = -0.5 * 2.19 * (1.0 + np.sin(2.0 * np.pi * AM_HZ * times))
-    return Answer(rms(times, wave), 0.0, note="so the printed rms had its mean taken off, at least in part")
+    return Answer(rms(times, wave), 0.0, note="so the mean was subtracted from the printed rms, at least in part")
 
 
 def circle_mach(setting: Setting) -> Answer:
@@ -305,7 +305,7 @@ def with_case(answer: Callable[[Case], Answer], change: Callable[[Case], Case], 
 
     def compute(setting: Setting) -> Answer:
         if full and setting.quick:
-            return Answer(None, note="in full runs alone: it takes minutes")
+            return Answer(None, note="in full runs only: it takes minutes")
         return answer(change(case_of(setting)))
 
     return compute

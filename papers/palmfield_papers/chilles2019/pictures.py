@@ -197,32 +197,32 @@ def chain_table(setting: Setting) -> Figure:
 PICTURES = (
     Picture(
         "step",
-        "Figure 3 again: the focus that is held. Left the raw motion and what the vibrometer makes of it, dotted the "
-        "printed values; right the spectra, with the range of row C16 in grey.",
+        "Figure 3 recomputed: constant focus. Left: raw motion and motion measured by the vibrometer; dotted: printed "
+        "values. Right: spectra, with the range of row C16 in grey.",
         step,
     ),
     Picture(
         "conditions",
-        "The same raw motion by what the paper leaves open (sides), and by base, thickness and characteristic time.",
+        "The same raw motion by sides, which the paper leaves open, and by base, thickness and characteristic time.",
         conditions,
     ),
     Picture(
         "am",
-        "Figure 4 again: the raw motion with the load modulated (the paper's FEM), and the vibrometer's record with "
-        "the pressure modulated (its measurement).",
+        "Figure 4 recomputed: raw motion with a modulated load (FEM of the paper), and record of the vibrometer with a "
+        "modulated pressure (measurement of the paper).",
         modulated,
     ),
-    Picture("stm", "Figure 5 again: the focus on the circle, at the point (10 mm, 0) where it starts.", circle),
+    Picture("stm", "Figure 5 recomputed: the focus on the circle, at its start point (10 mm, 0).", circle),
     Picture(
         "rms_maps",
-        "Figures 2b to 2d again: rms over 256 ms through the vibrometer, high-pass of order 2, head towards x, 12 Pa. "
-        "Dotted: the path.",
+        "Figures 2b to 2d recomputed: rms over 256 ms through the vibrometer, high-pass of order 2, head towards x, "
+        "12 Pa. Dotted: the path.",
         maps,
     ),
     Picture(
         "chains",
-        "How many of the six measured numbers (steady, peak, both peak-to-peak, both rms) each chain of filter, phase, "
-        "drift, level, azimuth and window explains.",
+        "Number of the six measured values (steady, peak, both peak-to-peak, both rms) that each chain of filter, "
+        "phase, drift, level, azimuth and window explains.",
         chain_table,
     ),
 )

@@ -99,7 +99,7 @@ def total_over_incident(setting: Setting) -> Answer:
     value = float(total / first_term)
     return Answer(
         value, 1e-6, margin=min(value - 2.0, 4.0 - value),
-        note="over <p_i^2>/(2 rho c^2); over <p_i^2>/(rho c^2), a wall that takes all sound in, it is 2",
+        note="over <p_i^2>/(2 rho c^2); over <p_i^2>/(rho c^2), a wall that absorbs all sound, it is 2",
         shown={"incident field at this focus, over the right pressure": float(whole[0] / found.arp_Pa[0])},
     )  # fmt: skip
 

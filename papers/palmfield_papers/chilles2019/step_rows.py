@@ -87,9 +87,9 @@ def settling(through_vibrometer: bool) -> Compute:
             except MeasurementError:
                 continue
         middle = shown.get("band of 5 %")
-        note = "band of 5 %; others beside it"
+        note = "band of 5 %; others are shown"
         if middle is None:
-            note = f"the filter leaves {steady:.2g} um of the steady value, about which no band is ever kept"
+            note = f"the filter leaves {steady:.2g} um of the steady value: the motion stays in no band about it"
         return Answer(middle, None, note=note, shown=shown)
 
     return compute
@@ -158,7 +158,7 @@ def filtered_steady(setting: Setting) -> Answer:
     return Answer(
         steady_of(trace),
         trace.error,
-        note="a high-pass on the velocity forces its integral back to 0: the printed value went through another chain",
+        note="a high-pass on the velocity forces its integral back to 0: the printed value is from another chain",
         shown={"without the filter": steady_of(plain)},
     )
 

@@ -140,7 +140,7 @@ def flatness(setting: Setting) -> Answer:
         value,
         error=abs(value - max(coarser_spread_dB(quality, phase) for phase in PHASES_DEG)),
         margin=2.0 - value,
-        note="largest over three phases of the sine against the packets; error: from half as many carrier periods",
+        note="largest over three phases of the sine relative to the packets; error: from half as many carrier periods",
         shown={
             "rms pressure with the sound's flight from four units [dB]": spread_dB(
                 "rms pressure", quality, flight=True
@@ -306,7 +306,7 @@ ANSWERS: dict[str, Compute] = {
 CAUSES = {
     "H12a": (
         Cause("quality 10 instead of 25", flatness_with("rms pressure", 10.0, False)),
-        Cause("the sound's flight from four units counts", flatness_with("rms pressure", 25.0, True)),
+        Cause("the time of flight from four units is included", flatness_with("rms pressure", 25.0, True)),
     )
 }
 LATER = {"H12a": (Cause("quality 250 instead of 25: the envelope falls", flatness_with("rms pressure", 250.0, False)),)}

@@ -403,7 +403,7 @@ def causes(count: int, depth_m: float) -> tuple[Cause, ...]:
     return (
         Cause("the T4010A1's table in place of the piston", ratio_of(Units(count, "table"), count, depth_m)),
         Cause("a microphone that is a point", ratio_of("point", count, depth_m)),
-        Cause("transducers that radiate alike in all directions", ratio_of(Units(count, "point"), count, depth_m)),
+        Cause("transducers that radiate equally in all directions", ratio_of(Units(count, "point"), count, depth_m)),
         Cause(
             "the largest pressure along the axis, which lies nearer, in place of that at the focus",
             ratio_at_200(count, depth_m),
@@ -460,7 +460,7 @@ FOUND_LATER = {
 LATER = {
     "H13-H14b": (
         Cause(
-            "pistons of 9 mm, twice as wide, which send less to the side", ratio_of(Units(1, "piston", 9e-3), 1, 0.4)
+            "pistons of 9 mm, twice as wide, which radiate less to the side", ratio_of(Units(1, "piston", 9e-3), 1, 0.4)
         ),
     ),
     "H17a": (Cause("delays rounded to a quarter of a period instead of a 640th", step_with_delays(4)),),

@@ -92,8 +92,9 @@ def best_frequency(setting: Setting) -> Answer:
         frequencies[best],
         error=0.0,
         margin=margin,
-        note=f"Margin in dB, known to {_error_dB(frequencies, depth):.1g} dB, by twice the reach and the wavenumbers; "
-        f"tested frequencies inside the table: {', '.join(f'{f:g}' for f in frequencies)} Hz. {_described(observer)}",
+        note=f"Margin in dB, with an error of {_error_dB(frequencies, depth):.1g} dB, by twice the reach and "
+        f"the wavenumbers; tested frequencies inside the table: {', '.join(f'{f:g}' for f in frequencies)} Hz. "
+        f"{_described(observer)}",
         shown={f"at {f:g} Hz, dB re 2 gf": round(level, 2) for f, level in zip(frequencies, levels, strict=True)},
     )
 
@@ -120,8 +121,8 @@ def threshold_level(setting: Setting) -> Answer:
         _eq8(relative_dB(own), peak_to_peak),
         error=_error_dB((BEST_Hz,), depth),
         band=(min(ends) - PERSONS_dB, max(ends) + PERSONS_dB),
-        note="Force on 12 x 12 mm. The band is that of the palm's stiffness and of persons, who are printed as 15 to "
-        f"20 dB apart. {_described(observer)}",
+        note="Force on 12 x 12 mm. The band is that of the stiffness of the palm and of persons, printed as 15 to "
+        f"20 dB. {_described(observer)}",
         shown={name: round(float(value), 4) for name, value in shown.items()},
     )
 
@@ -324,13 +325,13 @@ PICTURES: tuple[Picture, ...] = (
     Picture(
         "thresholds_sine",
         "Thresholds of a sinusoidal force on the palm by three contact observers, inside their tables; bands: the "
-        "palm's stiffness. The hand-grip table (morioka_griffin_2006) is a lower bound for a small spot. The paper's "
-        "curve exists in its figure only, so that its one printed value stands here.",
+        "stiffness of the palm. The hand-grip table (morioka_griffin_2006) is a lower bound for a small spot. The "
+        "paper has its curve only in a figure, so only its one printed value is shown.",
         _sines,
     ),
     Picture(
         "thresholds_rectangle",
-        "The same for a square wave, all of whose harmonics inside the table count; amplitude is half its height.",
+        "The same for a square wave, with all its harmonics inside the table; the amplitude is half its height.",
         _rectangles,
     ),
 )

@@ -239,7 +239,7 @@ PICTURES = (
     Picture(
         "focus_maps",
         "Figure 11: pressure in the focal plane of one and four units at six depths (pistons, at points). Above "
-        "each: its largest over that of four units at 200 mm.",
+        "each: its maximum relative to that of four units at 200 mm.",
         focus_maps,
     ),
     Picture("cross_sections", "Figure 11: the same along x through the focus.", cross_sections),
@@ -252,13 +252,13 @@ PICTURES = (
     Picture("forces", "Force on a square reflector at 200 mm over its edge, scaled to 20 mN on 12 x 12 mm.", forces),
     Picture(
         "pulse_width_law",
-        "Figure 6: radiation pressure over the duty cycle by three exponents, and what eq. 6 does to the phase.",
+        "Figure 6: radiation pressure over the duty cycle by three exponents, and the effect of eq. 6 on the phase.",
         pulse_width_law,
     ),
     Picture(
         "saw_waves",
         "Figure 7: a saw wave of 50 Hz designed for three exponents, on a device with exponent 1.5 and quality 25; "
-        "radiation pressures behind the 3 kHz filter. Dotted: as wanted.",
+        "radiation pressures behind the 3 kHz filter. Dotted: requested.",
         saw_waves,
     ),
     Picture(
@@ -269,7 +269,7 @@ PICTURES = (
     ),
     Picture(
         "beat",
-        f"Figure 3: pressure in the focus when the four units' clocks differ by up to {DRIFT_PPM:g} ppm (assumed).",
+        f"Figure 3: pressure in the focus if the clocks of the four units differ by up to {DRIFT_PPM:g} ppm (assumed).",
         beat,
     ),
     Picture(
@@ -278,5 +278,5 @@ PICTURES = (
         "filtered.",
         smoothing,
     ),
-    Picture("steps", "Section 3.4: how far off the focus is in commands of 0.5 mm; four units, 200 mm.", steps),
+    Picture("steps", "Section 3.4: error of the focal position in commands of 0.5 mm; four units, 200 mm.", steps),
 )

@@ -114,7 +114,7 @@ def _as_it_is(bows: Bows) -> Bows:
 def causes(axis: str) -> tuple[Cause, ...]:
     return (
         Cause(
-            "one generator drives all speakers alike, so that on a parabola they do not arrive in step",
+            "one generator drives all speakers equally: on a parabola their sound does not arrive in phase",
             width_with(axis, _speakers_in_phase),
         ),
         Cause("half of the sound pressure is meant, not of the radiation pressure", width_with(axis, _as_it_is, 0.5)),

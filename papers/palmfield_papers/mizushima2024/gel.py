@@ -148,7 +148,7 @@ def largest(setting: Setting) -> Answer:
         error=max(abs(finer - course[top]), off * course[top]),
         band=(float(min(band)), float(max(band))),
         note=f"linear; largest at {frequencies()[top]:g} Hz, {100 * strain:.0f} % of the thickness; error against "
-        "the solver lateral_waves at rest; the gel's course over frequency is assumed",
+        "the solver lateral_waves at rest; moduli at other frequencies are assumed",
         shown={
             "at 500 Hz [um]": float(course[-1]),
             "uniaxial formula, its largest [um]": 1e6 * factor * uniaxial_m(gel, float(frequencies()[0])),
@@ -264,7 +264,7 @@ CAUSES = {
     "M13a": (
         Cause("the paper's uniaxial formula, in which the gel may widen freely", by_formula),
         Cause(
-            "500 Pa, if a pressure microphone's doubling and peak for rms made 4000 of it",
+            "500 Pa, if the doubling at a microphone and peak read as rms turned it into 4000 Pa",
             with_change(lambda gel: gel, 500.0),
         ),
         Cause("gel C15 that slides", with_change(lambda gel: replace(gel, hardness="C15", base="free_slip"))),

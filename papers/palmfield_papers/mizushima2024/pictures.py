@@ -117,19 +117,19 @@ PICTURES = (
     ),
     Picture(
         "focal_plane",
-        "Figure 8b: radiation pressure in the focal plane, with the line of half its largest.",
+        "Figure 8b: radiation pressure in the focal plane, with the line of half its maximum.",
         focal_plane,
     ),
     Picture(
         "laws",
         "Figure 7: the part of the radiation pressure at the modulation frequency against voltage, modulation factor "
-        "and frequency. The speakers' quality is not printed; 300 Hz, above which it falls in the paper, is dotted.",
+        "and frequency. The quality of the speakers is not printed; dotted: 300 Hz, above which it falls in the paper.",
         laws,
     ),
     Picture(
         "gels",
         "Figure 9c: displacement of a gel of 1 mm at 4000 Pa on the ellipse of half-widths 10 and 3 mm, by base. "
-        "Dashed: the printed 170 um; grey: a factor of 2 about it. The gels' course over frequency is assumed.",
+        "Dashed: the printed 170 um; grey: a factor of 2 about it. Moduli at other frequencies are assumed.",
         gels,
     ),
 )

@@ -56,11 +56,13 @@ PAPER = Paper(
         **_causes(hand.VARIED, HAND_CHANGES),
         "R12k": (
             *_causes(lines.VARIED, CHANGES)["R12k"],
-            Cause("compared with a focus late by half a control step, as the hold is", lines.late_rate(4200.0)),
+            Cause(
+                "compared with a focus late by half a control step, the mean delay of the hold", lines.late_rate(4200.0)
+            ),
         ),
     },
     later=LATER,
-    found_later=_causes(lines.VARIED | figures.VARIED, {"nothing comes back from below: 60 mm deep": DEEP}),
+    found_later=_causes(lines.VARIED | figures.VARIED, {"no reflection from below: 60 mm deep": DEEP}),
     pictures=PICTURES,
     notes=notes,
 )

@@ -169,7 +169,7 @@ def corner_answer(setting: Setting) -> Answer:
             if one is not None:
                 shown[f"{along:g} m/s, {what}"] = one
     if corners_at(setting, level, 5.0) is None or corners_at(setting, level, 6.0) is None:
-        note = "16 cm of this zigzag have no turn but the first and the last"
+        note = "16 cm of this zigzag have only the first and the last turn"
         return Answer(None, note=note, shown=shown)
     return answered(_corner_number, setting, margin=lambda v: v - 1.0, note="the lesser of 5 and 6 m/s", shown=shown)
 

@@ -54,7 +54,7 @@ ANSWERS = {
         "as printed, inertia and elasticity both have the other sign: a static force would move the skin against "
         "itself; the solver takes the corrected one"
     ),
-    "R4b": lambda setting: words("the solver takes complex moduli; 0.02 Pa s is what the printed absorption comes to"),
+    "R4b": lambda setting: words("the solver takes complex moduli; 0.02 Pa s corresponds to the printed absorption"),
     "R5c": lambda setting: _closed(preset("gelatin_2").density_kg_m3, "preset gelatin_2"),
     "R5d": lambda setting: _closed(describe(preset("gelatin_2"), 1.0).shear_speed_m_s, "preset gelatin_2 at 1 Hz"),
     "R5e": lambda setting: _closed(1e-3 * preset("gelatin_2").shear_relaxed_Pa, "preset gelatin_2"),

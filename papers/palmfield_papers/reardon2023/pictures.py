@@ -223,33 +223,35 @@ def spectra(setting: Setting) -> Figure:
 PICTURES = (
     Picture(
         "fig1b_wakes",
-        "Figure 1B: normal velocity when the focus (ring) has run 12 of 16 cm, each over its largest; dashed: "
-        "asin(1/M) behind the focus.",
+        "Figure 1B: normal velocity after the focus (ring) has moved 12 of 16 cm, each relative to its maximum; "
+        "dashed: asin(1/M) behind the focus.",
         wakes,
     ),
-    Picture("fig1a_z", "Figure 1A: energy density of a Z of 6 cm, each over its largest, and its design.", zs),
+    Picture("fig1a_z", "Figure 1A: energy density of a Z of 6 cm, each relative to its maximum, and its design.", zs),
     Picture(
         "fig2_rates",
-        "Figure 2: normal velocity at 7 m/s after 12 cm by control rate, each over its largest.",
+        "Figure 2: normal velocity at 7 m/s after 12 cm by control rate, each relative to its maximum.",
         rates,
     ),
     Picture(
         "fig3_4_closed",
         "Figures 3B and 4B: rms velocity of the square of 3 cm and the circle of 1.5 cm radius over five turns after "
-        "five, each over its largest; dashed: path.",
+        "five, each relative to its maximum; dashed: path.",
         closed,
     ),
-    Picture("r13c_square", "R13c, not explained: square of 3 cm. Grey: the paper's place, at 8 m/s.", square_place),
-    Picture("r14a_ring", "R14a, not explained. Grey: the paper's, within the free ring one speed below.", ring_place),
+    Picture(
+        "r13c_square", "R13c, not explained: square of 3 cm. Grey: the place in the paper, at 8 m/s.", square_place
+    ),
+    Picture("r14a_ring", "R14a, not explained. Grey: the paper, within the free ring one speed below.", ring_place),
     Picture(
         "fig6b_plate",
-        "Figure 6B: 10 % wake on the scan grid, with the paper's 12 cm, and spectral centroid on the path.",
+        "Figure 6B: 10 % wake on the scan grid, with the 12 cm of the paper, and spectral centroid on the path.",
         spectra,
     ),
     Picture(
         "fig7_hand",
-        "Figure 7: normal velocity at seven eighths of the zigzag, each over its largest; 10 % wake, with the paper's "
-        "10 cm; expected right answers of the direction observer, chance in grey.",
+        "Figure 7: normal velocity at seven eighths of the zigzag, each relative to its maximum; 10 % wake, with the "
+        "10 cm of the paper; expected right answers of the direction observer, chance in grey.",
         on_hand,
     ),
 )

@@ -12,8 +12,8 @@ from palmfield_papers.reardon2023.runs import COARSE, FINER, FULL, QUICK
 Number = Callable[[Setting, int], float]
 """A number under a setting at a level of resolution (COARSE to FINER)."""
 HOW = (
-    "error: at the base readings, to finer waves, samples and another period (quick: to coarser ones, same period, and "
-    "at least 3 %), under other ones the larger of the same and the same share"
+    "error: at the base readings, the difference from finer waves and samples and another period (quick: from coarser "
+    "ones, same period, at least 3 %); at other readings, the larger of the same difference and the same ratio"
 )
 QUICK_LEAST = 0.03
 """Least error of numbers of quick runs: they differed from full runs by up to 2.8 %, although the coarser run, with the

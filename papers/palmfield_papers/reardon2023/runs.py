@@ -157,7 +157,7 @@ def _asked(plate: Plate, course: Course, times_s: Float | None) -> tuple[Float, 
     ends, peaks, centres = load.times_s, load.peak_Pa, load.centres()
     if course.still_after_s > 0.0:
         if course.rate_Hz is not None:
-            raise ValueError("a focus that holds between moves is not followed by silence here")
+            raise ValueError("a focus that is held between moves cannot be followed by silence")
         # A line to level 0 within a microsecond
         ends = np.append(ends, end + 1e-6)
         peaks, centres = np.append(peaks, 0.0), np.vstack([centres, centres[-1:]])
