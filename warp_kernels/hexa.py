@@ -157,7 +157,7 @@ GPU_BODY = Template("""
     const bool live = q < P;
     const long count = conn.shape[0], at = block;
     const int element = block / $places;
-    // Within a warp the threads of an element keep step by themselves
+    // Within a warp the threads of an element need no block barrier
     auto sync = [&]() {
         if ($places <= 32) __syncwarp(); else __syncthreads();
     };
@@ -237,7 +237,7 @@ GPU_BODY = Template("""
 
 
 GPU_BODY_1 = Template("""
-    // Order 1: the eight nodes of an element are neighbours in a warp and hand each other what they know
+    // Order 1: the eight nodes of an element are neighbours in a warp and exchange values by shuffles
     const int q = block % 8, element = block / 8;
     const long count = conn.shape[0], at = block;
     const $real* wv = reinterpret_cast<const $real*>(w.data + w_conn.data[at]);
@@ -246,7 +246,7 @@ GPU_BODY_1 = Template("""
     const $real mix = moduli.data[2 * moduli.shape[1] + element];
     $real A[11], own[3], g[3][3], H[3][3], flux[3][3];
     for (int r = 0; r < 11; ++r) A[r] = metric.data[r * count + at];
-    // Along direction r the other node is the one whose number differs in this bit, and lies ahead where it is not set
+    // Along direction r the number of the other node differs in this bit; it is ahead if the bit is not set
     const int bit[3] = {4, 2, 1};
     $real half[3];
     for (int r = 0; r < 3; ++r) half[r] = q & bit[r] ? -($real)0.5 : ($real)0.5;

@@ -73,7 +73,7 @@ def site_forces(
 ):
     """Compute displacement gradient, stress, and the force of each pair on the particle of the site (and its opposite).
 
-    Energy of a site: V psi(I + H) + a G / 2 sum_k s_k |w_k - W X_k|^2, H = sum_k u_k a_k / V, and W likewise from w.
+    Energy of a site: V psi(I + H) + a G / 2 sum_k s_k |w_k - W X_k|^2, H = sum_k u_k a_k / V, and W is H with w for u.
     """
     s = wp.tid()
     i = owner[s]

@@ -339,7 +339,7 @@ class _Call:
             shapes["gradient"] = ((1, count, 3), wp.vec2)
         self._results = SharedBlock(shapes, one.device)
         self._drive = self._inputs.hosts["drive"].view(np.complex64 if gradient else np.complex128)[0, :, 0]
-        self._found = [host.view(np.complex64)[0, ..., 0] for host in self._results.hosts.values()]
+        self._views = [host.view(np.complex64)[0, ..., 0] for host in self._results.hosts.values()]
         self._chosen = np.concatenate([chosen for _, chosen in parts])
         gains = [1.0 if part.array.gain is None else part.array.gain[part.order] for part, _ in parts]
         self._gain = np.concatenate([gain * np.ones(part.count) for gain, (part, _) in zip(gains, parts, strict=True)])
@@ -383,8 +383,8 @@ class _Call:
             launch()
             if self._gpu:
                 wp.synchronize_stream(self._device)
-        for result, found in zip(results, self._found, strict=True):
-            result[...] = found
+        for result, view in zip(results, self._views, strict=True):
+            result[...] = view
         return True
 
     def run_on_device(self, parts: Parts, points: Points, drive: Complex, normals: Any, results: list[Any]) -> None:
@@ -399,8 +399,8 @@ class _Call:
             if normals is not None:
                 wp.copy(arrays["normals"], normals)
             launch()
-            for result, found in zip(results, self._results.arrays.values(), strict=True):
-                wp.copy(result, found[0])
+            for result, array in zip(results, self._results.arrays.values(), strict=True):
+                wp.copy(result, array[0])
 
     def _prepared(
         self, parts: Parts, low: Sequence[float], high: Sequence[float], drive: Complex, copied: bool
@@ -433,8 +433,8 @@ class _Call:
                 dim = 1, -(-count // one.points_per_thread)
                 if self._gradient:
                     normals = arrays["normals"][own] if self._faced else None
-                    found = (result[:, own] for result in results.values())
-                    inputs += [arrays["falls"][i : i + 1], self._one, i > 0, *found, None, None, normals, room]
+                    slices = (result[:, own] for result in results.values())
+                    inputs += [arrays["falls"][i : i + 1], self._one, i > 0, *slices, None, None, normals, room]
                 else:
                     dim = of_part[2].shape[0], dim[1]
                     inputs.append(self._pressures[row : row + dim[0], own])

@@ -88,7 +88,7 @@ class ArrayConfig(Config):
                     "p0_low_Pa_m and p0_high_Pa_m are the range of key p0_Pa_m, which is missing; give it as well"
                 )
             if not low <= self.p0_Pa_m <= high:
-                raise ValueError("p0_Pa_m lies outside its range; required: p0_low_Pa_m <= p0_Pa_m <= p0_high_Pa_m")
+                raise ValueError("p0_Pa_m is outside its range; required: p0_low_Pa_m <= p0_Pa_m <= p0_high_Pa_m")
         if (self.layout == "csv") != (self.transducers is not None):
             raise ValueError("layout 'csv' and key transducers need each other; give both or neither")
         if (self.layout == "sites") != (self.sites is not None):

@@ -221,8 +221,8 @@ def together(transfer: Complex, pressures: Float | None = None) -> Complex:
     matrix = transfer[:, live]
     drive = np.zeros(transfer.shape[1], np.complex128)
     phases = reinforcing_phases(matrix, targets)
-    found, _ = _gerchberg_saxon(matrix, targets, phases, ITERATIONS["gsw"], weighted=True)
-    drive[live] = in_gauge(matrix, found)
+    matched, _ = _gerchberg_saxon(matrix, targets, phases, ITERATIONS["gsw"], weighted=True)
+    drive[live] = in_gauge(matrix, matched)
     return drive
 
 

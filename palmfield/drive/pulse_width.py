@@ -33,10 +33,10 @@ def widths(amplitude: ArrayLike, ticks: int, exponent: float = 2.0) -> Int:
     return np.rint(ticks * duty_cycle(amplitude, exponent)).astype(np.int32)
 
 
-def edge_phase(duty: ArrayLike, held: Edge) -> Float:
+def edge_phase(duty: ArrayLike, fixed: Edge) -> Float:
     """Phase of the first harmonic [rad] (later is positive) relative to a pulse about time 0.
 
     With the leading edge at time 0 the pulse's middle is pi d later; with the trailing edge, pi d earlier.
     A drive whose amplitude changes at a held edge therefore changes its phase.
     """
-    return 2.0 * np.pi * EDGE_TURNS[held] * np.asarray(duty, float)
+    return 2.0 * np.pi * EDGE_TURNS[fixed] * np.asarray(duty, float)

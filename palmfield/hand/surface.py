@@ -192,7 +192,7 @@ def _generate(skeleton: Skeleton, edge_m: float) -> cache.Arrays:
     step = edge_m / EDGE_PER_VOXEL
     ends = np.array([end for s in skeleton.skin for end in (s.start, s.end)])
     widest = max(float(max(s.semi_start.max(), s.semi_end.max())) for s in skeleton.skin)
-    # Off any plane of symmetry, so that no grid plane lies on a flat part of the surface.
+    # Off any plane of symmetry, so that no grid plane is on a flat part of the surface.
     lower = ends.min(axis=0) - widest - step * np.array([2.31, 2.47, 2.59])
     shape = np.ceil((ends.max(axis=0) + widest + 3.0 * step - lower) / step).astype(int)
     field: Any = wp.empty(tuple(shape.tolist()), dtype=wp.float32, device="cpu")

@@ -227,12 +227,12 @@ def consistent_winding(faces: Int) -> Int:
     order = np.lexsort(np.sort(directed, axis=1).T[::-1])
     one, other = np.tile(np.arange(number), 3)[order].reshape(-1, 2).T
     forward = (directed[:, 0] < directed[:, 1])[order].reshape(-1, 2)
-    # Face i as it is and face i + number, the same flipped: each is connected to the neighbour that agrees with it
+    # Nodes i and i + number are face i and face i flipped; each is linked to the neighbours with consistent winding
     other = other + np.where(forward[:, 0] == forward[:, 1], number, 0)
     pairs = np.concatenate([one, one + number]), np.concatenate([other, (other + number) % (2 * number)])
     graph = sparse.coo_array((np.ones(len(pairs[0])), pairs), shape=(2 * number, 2 * number))
     label = sparse.csgraph.connected_components(graph, directed=False)[1]
-    # Parts are numbered by their first member, so that of the first face as it is comes before its flipped twin
+    # Parts are numbered by their first node, so that the part with the first face unflipped comes first
     turned = label[:number] > label[number:]
     return np.where(turned[:, None], faces[:, ::-1], faces)
 

@@ -344,7 +344,7 @@ def demands_of(
             path_reach_m=reach,
             timestep_s=spec.timestep_s,
             corner_Hz=max(corner_Hz(one, spot_m) for one in stimuli),
-            beside_m=beside,
+            offset_m=beside,
         )
         demands.append(demand)
     return demands

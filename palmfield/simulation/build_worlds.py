@@ -129,7 +129,7 @@ def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
     """
     near, far = zip(*(demand.path_reach_m for demand in demands), strict=True)
     near = tuple(
-        reach + math.dist(demand.beside_m, demands[0].beside_m) for reach, demand in zip(near, demands, strict=True)
+        reach + math.dist(demand.offset_m, demands[0].offset_m) for reach, demand in zip(near, demands, strict=True)
     )
     return replace(
         demands[0],

@@ -80,7 +80,7 @@ class Choice:
     name: str
     seconds: float
     refusal: str | None = None
-    found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    arguments: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
     """Expensive results of the cost estimate that the solution reuses."""
 
 

@@ -132,8 +132,8 @@ def solver_class(name: str) -> type[LayerSolver]:
     """Return the solver class of this name. Raises SceneError if it cannot be loaded."""
     [entry] = [OWN[name]] if name in OWN else entry_points(group=SKIN_SOLVERS, name=name)
     try:
-        found: type[LayerSolver] = entry.load()
-        return found
+        solver: type[LayerSolver] = entry.load()
+        return solver
     except (ImportError, AttributeError) as error:
         raise SceneError(
             f"the entry point '{entry.value}' of the solver cannot be loaded: {error}; reinstall it, or set solver "

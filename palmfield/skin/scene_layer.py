@@ -63,7 +63,7 @@ class LayerDemand:
     path_reach_m: largest distance of the focus from its own middle, and from the middle of the layer [m].
     timestep_s: of MuJoCo [s]. longest_step_s: upper limit of the substep [s].
     corner_Hz: frequency above which the spectrum of the load falls, about; infinite if unknown.
-    beside_m: from the middle of the layer to the middle of the focus, body frame [m]; 0 if the skin moves.
+    offset_m: from the centre of the layer to the mean focus, body frame [m]; 0 if the skin moves.
     """
 
     spot_fwhm_m: float
@@ -73,7 +73,7 @@ class LayerDemand:
     timestep_s: float
     longest_step_s: float = math.inf
     corner_Hz: float = math.inf
-    beside_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def layer_sizes(
@@ -191,12 +191,12 @@ class SceneLayer:
         """Return the part of the surface with a layer. Raises SceneError if it cannot be made."""
         config, sizes = self.config, self.sizes
         # With equal edges there is no fine region, and a regular mesh about the middle is better
-        beside = self.demand.beside_m if sizes.edge_fine_m < sizes.edge_coarse_m else (0.0, 0.0, 0.0)
+        offset = self.demand.offset_m if sizes.edge_fine_m < sizes.edge_coarse_m else (0.0, 0.0, 0.0)
         if config.shape == "disc":
             assert config.radius_m and config.thickness_m
             from palmfield.skin.mesh.disc import disc_patch
 
-            x, y, _ = beside
+            x, y, _ = offset
             edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
             return disc_patch(config.radius_m, config.thickness_m, *edges, (x, y))
         assert self.surface is not None
@@ -216,7 +216,7 @@ class SceneLayer:
                 sizes.fine_radius_m,
                 max_depth_m=config.depth_m,
                 max_fraction=fraction,
-                fine_at=(self.centre_m + beside) * mirror if any(beside) else None,
+                fine_at=(self.centre_m + offset) * mirror if any(offset) else None,
             )
         if left:
             faces = patch.faces[:, ::-1].copy()

@@ -117,12 +117,12 @@ def ranking(problem: SkinProblem) -> list[Choice]:
     options = []
     for name in WHERE:
         refusal = function(name, "refusal")(problem.body, problem.load)
-        seconds, found = math.inf, dict[str, Any]()
+        seconds, arguments = math.inf, dict[str, Any]()
         if refusal is None:
             try:
                 own = replace(problem, accuracy=HARDER[problem.accuracy_of] * problem.accuracy)
                 if "prepared" in WHERE[name]:
-                    body, found = function(name, "prepared")(own)
+                    body, arguments = function(name, "prepared")(own)
                     own = replace(own, body=body)
                 choosing = LAYER_S if isinstance(own.body, Layer) else SLAB_S
                 seconds = choosing + float(function(name, "cost")(own))
@@ -130,7 +130,7 @@ def ranking(problem: SkinProblem) -> list[Choice]:
                 refusal = f"{reason}"
             except Exception:
                 seconds = math.inf
-        options.append(Choice(name, math.inf if math.isnan(seconds) else seconds, refusal, found))
+        options.append(Choice(name, math.inf if math.isnan(seconds) else seconds, refusal, arguments))
     return ranked(options)
 
 
@@ -192,7 +192,7 @@ def solve(
         if not able:
             raise SceneError("no solver supports this problem: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
         taken, motion, why = _first_that_can(able, problem)
-        name, more = taken.name, taken.found
+        name, more = taken.name, taken.arguments
     else:
         name, why, more = solver, "requested", {}
         motion = _by_name(name, problem, resolution)
@@ -228,7 +228,7 @@ def _first_that_can(able: list[Choice], problem: SkinProblem) -> tuple[Choice, M
     refused: list[str] = []
     for place, choice in enumerate(able):
         try:
-            motion = function(choice.name, "solve")(problem, **choice.found)
+            motion = function(choice.name, "solve")(problem, **choice.arguments)
         except (SceneError, MemoryError) as reason:
             refused.append(f"{choice.name} refused: {reason}")
             continue

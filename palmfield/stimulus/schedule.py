@@ -535,8 +535,8 @@ def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
     )
     if len(_timings) >= KEPT:
         _timings.clear()
-    known = _timings[id(config)] = config, timing
-    return known
+    entry = _timings[id(config)] = config, timing
+    return entry
 
 
 def _point_rate(config: StimulusConfig) -> float:

@@ -212,7 +212,7 @@ def test_p0_is_that_of_the_layout_the_key_or_the_calibration():
     [
         ({"p0_low_Pa_m": 1.0, "p0_high_Pa_m": 2.0}, "are the range of key p0_Pa_m"),
         ({"p0_Pa_m": 1.0, "p0_low_Pa_m": 1.0}, "must be given together"),
-        ({"p0_Pa_m": 3.0, "p0_low_Pa_m": 1.0, "p0_high_Pa_m": 2.0}, "lies outside its range"),
+        ({"p0_Pa_m": 3.0, "p0_low_Pa_m": 1.0, "p0_high_Pa_m": 2.0}, "is outside its range"),
         ({"layout": "csv"}, "layout 'csv' and key transducers"),
         ({"transducers": "a.csv"}, "layout 'csv' and key transducers"),
     ],

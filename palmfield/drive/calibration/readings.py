@@ -145,9 +145,9 @@ def put_plate(
     """Forces on a plate: see `fit_plate`."""
     if under.plate_m is None:
         raise SceneError(f"{file}: the side lengths of the plate are missing; give them (--plate 0.1 0.1, in metres)")
-    known = calibrated(array, calibration)
+    real = calibrated(array, calibration)
     fit = fit_plate(
-        known, under.air, _drive(known, under), under.plate_m, columns["distance_m"], columns["time_s"],
+        real, under.air, _drive(real, under), under.plate_m, columns["distance_m"], columns["time_s"],
         columns["on"], columns["force_N"], under.level,
     )  # fmt: skip
     p0 = Estimate(fit.p0_Pa_m, fit.low_Pa_m, fit.high_Pa_m, "measured", under.source)
@@ -208,8 +208,8 @@ def put_sweep(
         raise SceneError(
             f"{file}: no reading at {at[m].tolist()} m and {f[q]:g} Hz; give one for each position and frequency"
         )
-    known = calibrated(array, calibration)
-    fit = fit_sweep(known, under.air, _drive(known, under), at, f, seen)
+    real = calibrated(array, calibration)
+    fit = fit_sweep(real, under.air, _drive(real, under), at, f, seen)
     quality = _estimate(fit.quality, 1.96 * fit.quality_sd / fit.quality, under.source)
     resonance = _estimate(fit.resonance_Hz, 1.96 * fit.resonance_sd_Hz / fit.resonance_Hz, under.source)
     report = (

@@ -59,19 +59,19 @@ class ScheduleSource:
         if number == len(frames):
             ends = max(self.start_s + self.schedule.duration_s, free_s)
             return None if now_s >= ends else NextFrame(ends, ends, b"")
-        takes = self._line_s(number)
-        begins = self.start_s + times[number] - takes
+        lasts = self._line_s(number)
+        begins = self.start_s + times[number] - lasts
         while number + 1 < len(frames):
-            takes_next = self._line_s(number + 1)
-            begins_next = self.start_s + times[number + 1] - takes_next
+            lasts_next = self._line_s(number + 1)
+            begins_next = self.start_s + times[number + 1] - lasts_next
             if begins_next > max(begins, free_s, now_s):
                 break
-            number, begins, takes = number + 1, begins_next, takes_next
+            number, begins, lasts = number + 1, begins_next, lasts_next
             self.skipped += 1
         self._next = number
         # While the line is busy, a frame waits in the buffer of the system, so that the line has no pause
-        at = begins if free_s < begins - CLOSE_S else free_s - takes
-        return NextFrame(at, begins + takes, frames[number], number)
+        at = begins if free_s < begins - CLOSE_S else free_s - lasts
+        return NextFrame(at, begins + lasts, frames[number], number)
 
     def sent(self, now_s: float) -> None:
         self._next += 1

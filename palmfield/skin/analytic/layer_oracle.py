@@ -112,8 +112,8 @@ def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: 
         return {name: np.stack([c[name] for c in columns], axis=1) for name in columns[0]}
 
     top, bottom = rows(0.0), rows(h)
-    held = {"bonded": ("x", "z"), "free_slip": ("z", "tangential"), "free": ("normal", "tangential")}[base]
-    equations = [top["normal"], top["tangential"], bottom[held[0]], bottom[held[1]]]
+    zero = {"bonded": ("x", "z"), "free_slip": ("z", "tangential"), "free": ("normal", "tangential")}[base]
+    equations = [top["normal"], top["tangential"], bottom[zero[0]], bottom[zero[1]]]
     matrix = np.stack([row / np.abs(row).max(axis=1, keepdims=True) for row in equations], axis=1)
     load = np.zeros((len(k), 4, 1), dtype=complex)
     load[:, 0, 0] = -1.0 / np.abs(top["normal"]).max(axis=1)

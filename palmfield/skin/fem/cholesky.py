@@ -95,8 +95,8 @@ class Cholesky:
         # Contribution of a branch to the right side of the trunk, which branches must not write at the same time
         taken = [np.zeros((factor.size + 1 - trunk.first, columns.shape[1])) for _ in factor.branches]
         with one_blas_thread:
-            apart = zip(factor.branches, taken, strict=True)
-            share([(partial(self._down_many, part, moved, away),) for part, away in apart], threads)
+            pairs = zip(factor.branches, taken, strict=True)
+            share([(partial(self._down_many, part, moved, away),) for part, away in pairs], threads)
             for away in taken:
                 moved[trunk.first :] += away
             self._down_many(trunk, moved, moved[trunk.first :])

@@ -56,13 +56,13 @@ def drive(load: Load, line: Timeline, waves: WaveSet, part: slice) -> Float:
     """
     if not isinstance(load, Spot):
         forces = transform(waves.vectors[part], load.pressure_Pa * load.weights_m2, load.points[:, :2])
-        return given(load.law, load.times_s, forces, line)
+        return on_timeline(load.law, load.times_s, forces, line)
     if waves.centre is not None:
         still = np.ones((len(waves.group[part]), 1)) * load.peak_Pa
-        return given(load.law, load.times_s, still.astype(complex), line)
+        return on_timeline(load.law, load.times_s, still.astype(complex), line)
     centres = load.centres()
     if load.law == "held":
-        return given("held", load.times_s, np.exp(-1j * (waves.vectors[part] @ centres.T)) * load.peak_Pa, line)
+        return on_timeline("held", load.times_s, np.exp(-1j * (waves.vectors[part] @ centres.T)) * load.peak_Pa, line)
     path = np.stack([np.interp(line.edges, load.times_s, centres[:, axis]) for axis in range(2)])
     size = np.interp(line.edges, load.times_s, load.peak_Pa)
     turned = waves.vectors[part] @ path
@@ -74,8 +74,8 @@ def drive(load: Load, line: Timeline, waves: WaveSet, part: slice) -> Float:
     return result
 
 
-def given(law: str, times: Float, values: Complex, line: Timeline) -> Float:
-    """Forces known at times, shape (n, f), that hold or run straight between them, as of `drive`."""
+def on_timeline(law: str, times: Float, values: Complex, line: Timeline) -> Float:
+    """Return forces given at times, shape (n, f), on the timeline, constant or linear between them, as `drive`."""
     last = len(times) - 1
     result = np.empty((len(values), len(line.kind), 7))
     place = np.clip(np.searchsorted(times, 0.5 * (line.edges[:-1] + line.edges[1:]), side="right") - 1, 0, last)

@@ -24,7 +24,7 @@ from scipy.special import jnp_zeros, jv
 from palmfield.errors import SceneError
 from palmfield.skin.problem import Slab, Spot, between, rising
 from palmfield.skin.solvers.lateral_waves.depth import depth_problem
-from palmfield.skin.solvers.lateral_waves.drive import Timeline, given, spot_transform, timeline
+from palmfield.skin.solvers.lateral_waves.drive import Timeline, on_timeline, spot_transform, timeline
 from palmfield.skin.solvers.lateral_waves.march import march
 from palmfield.skin.solvers.lateral_waves.modes import FaceModes, face_modes
 from palmfield.skin.solvers.lateral_waves.radial import compute_modes
@@ -290,7 +290,7 @@ class WalledDisc(_Field):
 
         def force(part: slice) -> Float:
             values = CubicSpline(self._radii, self._table[part], axis=1)(radius)
-            return given(fine.law, fine.times_s, values * turns[orders[part]] * fine.peak_Pa, line)
+            return on_timeline(fine.law, fine.times_s, values * turns[orders[part]] * fine.peak_Pa, line)
 
         return _amplitudes(fine, line, waves, len(times), device, self.threads, force), orders
 

@@ -133,8 +133,8 @@ def _solve(body: Slab, problem: SkinProblem, settings: Settings) -> Motion:
         chosen = pick(result.displacement)
         finer = max(share * part, FINEST)
         check = run(body, load, requested, points[chosen], finer, settings, result.panels, farther=True)
-        some, known = (result.displacement[:, chosen], result.velocity[:, chosen]), (check.displacement, check.velocity)
-        pairs = (*zip(some, known, strict=True), (some[0][..., 2:], known[0][..., 2:]))
+        some, fine = (result.displacement[:, chosen], result.velocity[:, chosen]), (check.displacement, check.velocity)
+        pairs = (*zip(some, fine, strict=True), (some[0][..., 2:], fine[0][..., 2:]))
         errors = at_sides + safety * np.array([relative_error(one, other, picture) for one, other in pairs])
         if errors[problem.judged] <= problem.accuracy or settings.tolerance is not None or part <= FINEST or left == 0:
             break

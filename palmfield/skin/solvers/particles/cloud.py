@@ -223,21 +223,21 @@ def _face_areas(columns: Columns, points: Float) -> Float:
 def _free_directions(columns: Columns, points: Float, body: Body) -> Float:
     """Projectors on the directions in which each particle may move, shape (n, 3, 3)."""
     per_level, levels = len(columns.face), len(columns.shares)
-    held: dict[int, list[Float]] = {}
+    fixed: dict[int, list[Float]] = {}
     base = (levels - 1) * per_level + np.arange(per_level)
     rim = (columns.rim + per_level * np.arange(levels)[:, None]).ravel()
     if body.base == "bonded":
-        held |= {int(i): list(np.eye(3)) for i in base}
+        fixed |= {int(i): list(np.eye(3)) for i in base}
     elif body.base == "free_slip":
         normals = _face_areas(columns, points[base])
-        held |= {int(i): [n / np.linalg.norm(n)] for i, n in zip(base, normals, strict=True)}
+        fixed |= {int(i): [n / np.linalg.norm(n)] for i, n in zip(base, normals, strict=True)}
     if body.side == "fixed":
-        held |= {int(i): list(np.eye(3)) for i in rim}
+        fixed |= {int(i): list(np.eye(3)) for i in rim}
     elif body.side == "roller":
         for place, normal in zip(rim, np.tile(columns.rim_normals, (levels, 1)), strict=True):
-            held.setdefault(int(place), []).append(normal)
+            fixed.setdefault(int(place), []).append(normal)
     free = np.tile(np.eye(3), (len(points), 1, 1))
-    for i, directions in held.items():
+    for i, directions in fixed.items():
         _, singular, basis = np.linalg.svd(np.array(directions))
         stiff = basis[: int(np.sum(singular > 1e-6))]
         free[i] -= stiff.T @ stiff

@@ -257,8 +257,10 @@ class Holds:
     dashpot: Float
 
 
-def held(model: Model, base: BaseKind | Springs, side: SideKind | None, damping: Float | None) -> tuple[Holds, float]:
-    """See `hold`; and the largest stable step of the model so held [s]."""
+def constraints(
+    model: Model, base: BaseKind | Springs, side: SideKind | None, damping: Float | None
+) -> tuple[Holds, float]:
+    """Return the constraints of `hold`, and the largest stable step of the constrained model [s]."""
     holds = hold(model, base, side, damping)
     rows = model.mass[holds.rows, None, None]
     return holds, model.stable_step(float((np.abs(holds.spring) / rows).sum(axis=2).max(initial=0.0)))
@@ -301,8 +303,8 @@ def hold(model: Model, base: BaseKind | Springs, side: SideKind | None, damping:
     for row, normals in enumerate(lists):
         if normals and projector[row].any():
             basis, sizes, _ = np.linalg.svd(np.array(normals).T)
-            held = basis[:, : len(sizes)][:, sizes > 1e-6 * sizes[0]]
-            projector[row] = np.eye(3) - held @ held.T
+            fixed = basis[:, : len(sizes)][:, sizes > 1e-6 * sizes[0]]
+            projector[row] = np.eye(3) - fixed @ fixed.T
     rate = np.zeros(len(solid.nodes)) if damping is None else damping
     return Holds(rate, rows, projector, spring, dashpot)
 

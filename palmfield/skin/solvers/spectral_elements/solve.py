@@ -29,7 +29,7 @@ from palmfield.skin.problem import (
 )
 from palmfield.skin.solvers.spectral_elements.loads import table_of
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, fast_speed, plan
-from palmfield.skin.solvers.spectral_elements.model import SAFETY, Holds, Model, held
+from palmfield.skin.solvers.spectral_elements.model import SAFETY, Holds, Model, constraints
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper
 from palmfield.skin.solvers.spectral_elements.solid import Solid
@@ -303,7 +303,7 @@ def prepared(body: Body, chosen: Plan, device: str, precision: str) -> tuple[Mod
     model = Model(solid, body.sheets, device, precision)
     side = body.side if isinstance(body, Layer) or chosen.sponge_m == 0.0 else "absorbing"
     assert not isinstance(body.base, Foundation)
-    return model, *held(model, body.base, side, damping)
+    return model, *constraints(model, body.base, side, damping)
 
 
 def march(

@@ -13,7 +13,7 @@ from palmfield.skin.problem import Body, SkinProblem
 from palmfield.skin.solvers.spectral_elements import solve
 from palmfield.skin.solvers.spectral_elements.loads import Table
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, plan
-from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, held
+from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, constraints
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper, state_size
 from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
@@ -47,7 +47,7 @@ class ElementLayer(OwnMesh):
         """Order and size of the elements."""
         load, config = self.planned_load(), self.layer.config
         demand = self.layer.demand
-        reach = min(demand.path_reach_m[1] + math.hypot(*demand.beside_m[:2]), config.radius_m or math.inf)
+        reach = min(demand.path_reach_m[1] + math.hypot(*demand.offset_m[:2]), config.radius_m or math.inf)
         return plan(self.body, load, load.centres()[0] + reach * np.array([[-1.0, -1.0], [1.0, 1.0]]), config.accuracy)
 
     @locked_cached_property
@@ -118,7 +118,7 @@ class SpectralElementStepper(OwnMeshStepper):
         assert not isinstance(body.base, Foundation)
         self._model = Model(own.solid, body.sheets, device)
         self.state_size = state_size(own.solid, self._model.materials)
-        self._holds, self._stable_s = held(self._model, body.base, body.side, None)
+        self._holds, self._stable_s = constraints(self._model, body.base, body.side, None)
         self.steps = math.ceil(self.step_s / (SAFETY * self._stable_s))
         self._rooms: list[Stepper] = []
 
