@@ -107,10 +107,9 @@ def articulate(preset: HandPreset) -> ArticulatedHand:
     """Return bones and joints of a preset: forearm, hand, three bones per digit; 2 wrist and 20 finger joints.
 
     Angles are anatomical: 0 is the flat hand with straight fingers. Flexion is positive to the palm. Abduction of a
-    finger is relative to its direction in the preset and positive away from the middle finger; that of the middle
-    finger is positive to the little finger. Both angles of the thumb's saddle joint are relative to the preset, and its
-    abduction is positive out of the palm. Wrist deviation is positive to the little finger. Two joints at one point act
-    as a universal joint with abduction outside.
+    finger is relative to the preset and positive away from the middle finger, for the middle finger to the little one.
+    Both angles of the thumb's saddle joint are relative to the preset; its abduction is positive out of the palm. Wrist
+    deviation is positive to the little finger. Two joints at one point act as a universal joint, abduction outside.
     """
     skeleton = centred_skeleton(preset)
     ulnar = np.array([1.0 if preset.side == "right" else -1.0, 0.0, 0.0])

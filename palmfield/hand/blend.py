@@ -16,7 +16,6 @@ def bone_shifts(origins: Float, positions: Float, turns: Float) -> Float:
 def blended(bones: Int, shares: Float, shifts: Float, turns: Float) -> tuple[Float, Float]:
     """Return the blended shift [m], shape (n, 3), and matrix, shape (n, 3, 3), of each point.
 
-    bones: numbers of the k bones of each point, shape (n, k); shares: weights of these bones, shape (n, k)
-    shifts, turns: shifts and rotations of all bones, see `bone_shifts`
+    bones, shares: bone numbers and weights, shape (n, k); shifts, turns: of all bones, see `bone_shifts`
     """
     return np.einsum("nk,nki->ni", shares, shifts[bones]), np.einsum("nk,nkij->nij", shares, turns[bones])

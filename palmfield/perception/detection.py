@@ -20,8 +20,7 @@ def detection_probability(
 ) -> Float:
     """Return the probability of detection, or of a right answer, in the shape of level_dB_SL [dB]; -inf is silence.
 
-    slope: exponent b, above 0; lapse: rate of lapses l
-    guess: rate g of right answers by chance: 0 for the method of limits, 0.5 for two alternatives
+    slope: exponent b; lapse: rate l; guess: rate g of right guesses, 0 for the method of limits, 1/n for n alternatives
     Raises OutputError for a slope that is not above 0, and for invalid rates.
     """
     if not slope > 0.0:

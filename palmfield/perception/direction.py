@@ -86,9 +86,8 @@ def separation(forward: ArrayLike, reversed_: ArrayLike, step_s: float, step_m: 
 def direction_share(apart: float, noise: float) -> float:
     """Return the expected share of right answers for two equally frequent directions, 0.5 to 1.
 
-    apart: result of `separation`; noise: spectral density of the noise in the same unit, above 0
-    The share is Phi(apart / (2 noise)), by the likelihood ratio of two courses in white noise. Raises OutputError for
-    other values.
+    apart: result of `separation`, at least 0; noise: spectral density in the same unit, above 0, else OutputError
+    The share is Phi(apart / (2 noise)), by the likelihood ratio of two courses in white noise.
     """
     if not (noise > 0.0 and apart >= 0.0):
         raise OutputError(f"noise is {noise:g} and the separation {apart:g}; allowed: noise > 0, separation >= 0")
@@ -98,8 +97,7 @@ def direction_share(apart: float, noise: float) -> float:
 def noise_for(separations: ArrayLike, share: float) -> float:
     """Return the noise at which the mean share of right answers over several stimuli is `share`.
 
-    separations: results of `separation`, above 0, shape (k,); share: above 0.5 and below 1. Raises OutputError for
-    other values.
+    separations: results of `separation`, above 0, shape (k,); share: above 0.5 and below 1; else OutputError
     """
     sizes = np.asarray(separations, dtype=float)
     if sizes.ndim != 1 or len(sizes) == 0 or not (sizes.min() > 0.0 and sizes.max() < np.inf) or not 0.5 < share < 1.0:

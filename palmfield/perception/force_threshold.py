@@ -29,8 +29,7 @@ class ForceObserver:
     """Detection threshold of the radiation force at one frequency.
 
     frequency_Hz: frequency of the modulation [Hz]; threshold_N: peak amplitude of the force at threshold [N]
-    area_m2: area of the disc about the highest ARP over which the force is summed [m^2]
-    mean_N: mean force in the measurement [N]
+    area_m2: disc about the highest ARP over which the force is summed [m^2]; mean_N: mean force measured [N]
     source, why, spread_dB, spread_of: as in `palmfield.perception.observers.Observer`
     """
 

@@ -41,8 +41,7 @@ class AreaSummation:
 class TemporalSummation:
     """Temporal summation: a leaky sum of the squared motion, so that short stimuli need a higher level.
 
-    from_Hz: lowest frequency with summation [Hz]; tau_s: time constant of the leak [s]
-    The table of thresholds applies to stimuli of many tau_s.
+    from_Hz: lowest frequency [Hz]; tau_s: time constant [s]; the table of thresholds applies to stimuli of many tau_s
     """
 
     from_Hz: float
@@ -207,9 +206,7 @@ def levels_dB_SL(
     The level is -inf without motion, and NaN for motion only outside the observer's table or a NaN amplitude. The sum
     is over the lines of one channel, and the channel with the highest level is used. DC and lines outside the table are
     ignored. Pass lines (`line_amplitude`), not the bins of a windowed spectrum: a Hann window counts a line 1.5 times.
-
-    frequencies: lines of the motion [Hz], shape (n,)
-    peak_amplitudes_m: their peak amplitudes at m points [m], shape (n, m)
+    frequencies: of the lines [Hz], shape (n,); peak_amplitudes_m: at m points [m], shape (n, m)
     area_m2, duration_s: as for `threshold_m`, with the same errors
     """
     frequency, amplitude = (np.asarray(one, dtype=np.float64) for one in (frequencies, peak_amplitudes_m))
