@@ -153,7 +153,7 @@ def gpu_s(transfer: Transfer, drives: Complex, device: str) -> float:
 
 def on_gpu(points: Float, normals: Float, cases: list[Case], device: str) -> list[str]:
     lines = [
-        "| frames | rank | first call [s] | again [s] | of both, reduction on the processor [s] | error |",
+        "| frames | rank | first call [s] | later calls [s] | reduction on the CPU, part of both [s] | error |",
         "|---|---|---|---|---|---|",
     ]
     evaluator = FieldEvaluator(layout(LAYOUT), AIR, device)
@@ -189,21 +189,22 @@ def head(device: str, commit: str) -> list[str]:
 
 TEXT = f"""# Many frames on the same skin
 
-{FRAMES} frames of 256 transducers (uhev1) to radiation pressure on {POINTS} points of a dome {HEIGHT_M:g} m above: a
-focus that goes {TURNS} times round a circle of {2e3 * RADIUS_M:g} mm, and the same with its phases rounded to 8 bits.
-`Transfer` computes the matrix of pressures and gradients once, reduces the frames to the dimensions that they span,
-and computes all ARP by products. The result holds {4e-6 * FRAMES * POINTS:.0f} MB. Medians of {RUNS} runs. Error:
-relative L2 difference to float64 over {CHECKED} frames.
+For developers. This page has the time to compute the ARP of {FRAMES} frames of 256 transducers (uhev1) at {POINTS}
+points of a dome {HEIGHT_M:g} m above the array. The frames move a focus {TURNS} times round a circle of
+{2e3 * RADIUS_M:g} mm, with exact phases or with phases rounded to 8 bits. `Transfer` computes the matrix of pressures
+and gradients once. It reduces the frames to the dimensions that they span and computes all ARP by matrix products. The
+result has {4e-6 * FRAMES * POINTS:.0f} MB. Values are medians of {RUNS} runs. The error is the relative L2 difference
+from float64 over {CHECKED} frames.
 """
 
 CPU_TEXT = f"""
-GFLOP/s: work of the product over the time of product and ARP, of which {{pages_s:.2f}} s clear new pages (`out` saves
-them). Frame by frame is extrapolated from {ONE_BY_ONE} frames.
+GFLOP/s is the work of the product divided by the time of product and ARP. {{pages_s:.2f}} s of this time clear new
+memory; argument `out` avoids this. The time frame by frame is extrapolated from {ONE_BY_ONE} frames.
 """
 
 GPU_TEXT = """
-Times of `Transfer.arp_on_gpu`, from NumPy drives to ARP on the GPU, kernels compiled before. The first call uploads the
-matrix.
+Times are for `Transfer.arp_on_gpu`, from NumPy drives to ARP on the GPU, with compiled kernels. The first call uploads
+the matrix.
 """
 
 

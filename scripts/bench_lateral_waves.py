@@ -153,29 +153,31 @@ def main() -> None:
     load = os.getloadavg()[0]
     bodies, plates = reference_rows(choice.threads), plate_rows(choice.threads)
     lines = [
-        "# Solver lateral_waves",
+        "# Solver `lateral_waves`: time and error",
         "",
-        "Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_lateral_waves.py"
-        f" --threads {choice.threads}{' --deep' if choice.deep else ''}`",
-        f"{os.cpu_count()} cores, load average {load:.1f} at the start. Kernels compiled before.",
+        "For developers of solvers. Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python "
+        f"scripts/bench_lateral_waves.py --threads {choice.threads}{' --deep' if choice.deep else ''}`",
+        f"{os.cpu_count()} cores, load average {load:.1f} at the start, compiled kernels.",
         "",
-        "Ecoflex 00-10, 20 mm, bonded, spot of 10.3 mm, 0.2 s in 2001 times, at the centre and at r = 10 mm; asked for",
-        "1 %. Error: against a run at tolerance 3e-4. Predicted: `cost_lateral_waves`, one core. Push in nm per Pa at",
-        f"centre / observer. {keep_rows(PAGE, [BODIES, '', *bodies])} has the estimate of the finer run and the last",
-        "push.",
+        "A layer of Ecoflex 00-10, 20 mm thick and bonded, is under a spot of 10.3 mm for 0.2 s. The target is 1 % "
+        "at 2001",
+        "times, at the centre and at r = 10 mm. The error is relative to a run at tolerance 3e-4. `cost_lateral_waves`",
+        "predicts the time on one core. The last column has the push at the centre / at r = 10 mm.",
+        f"{keep_rows(PAGE, [BODIES, '', *bodies])} also has the estimate of the finer run.",
         "",
         *picked([BODIES, *bodies], (0, 1, 2, 3, 4, 5, 6, 8)),
         "",
-        "Endless plate, 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s; spot of 6 mm over 160 mm; normal",
-        "velocity at the end on 241 x 121 points; asked for 5 % of the displacement. Error: of the velocity, L2 over a",
-        "37th of the points, against a run at tolerance 1e-3. Sizes in um/s per Pa. Half-angle by `mach_half_angle`.",
+        "An infinite plate of 10 mm (rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s) is under a spot of 6 mm "
+        "that moves",
+        "over 160 mm. The normal velocity at the end is computed at 241 x 121 points, for a target of 5 % of the",
+        "displacement. The error is in L2 over a 37th of the points, relative to a run at tolerance 1e-3.",
         "",
-        "| nu | base | s | estimate (displacement) | error (velocity) | largest |",
+        "| nu | base | time [s] | estimate (displacement) | error (velocity) | largest velocity [um/s per Pa] |",
         "|---|---|---|---|---|---|",
         *ranged(plates, (0, 1), (3, 5, 6, 8)),
         "",
         keep_rows(PAGE, [PLATES, "", *plates], "skin_lateral_waves_plate")
-        + " has each speed, seconds of all threads, rms and angles.",
+        + " has each speed, the time of all threads, rms values and Mach angles.",
         *(deep_lines(choice.threads) if choice.deep else []),
         "",
     ]

@@ -129,7 +129,8 @@ def bodies() -> dict[str, Surface]:
 def worst(rows: list[str]) -> list[str]:
     """One row a hand: the worse of the whole hand and the palmar side at each thickness."""
     lines = [
-        "| hand | faces | thinned area [%] at 1, 2, 3, 5 mm | least [mm] | least quality | volume / integral |",
+        "| hand | faces | thinned area [%] at 1, 2, 3, 5 mm | smallest thickness [mm] | smallest quality | volume / "
+        "integral |",
         "|---|---|---|---|---|---|",
     ]
     found = [cells(row) for row in rows[2:]]
@@ -166,7 +167,7 @@ def table() -> list[str]:
 def timings() -> list[str]:
     """Load, repair and layer of an OBJ file of a hand of about 20 000 faces, wall and processor time."""
     source = hand_surface(load_preset("open_men_p50"), 0.0023).surface
-    lines = ["| what | s | processor s |", "|---|---|---|"]
+    lines = ["| work | wall time [s] | processor time [s] |", "|---|---|---|"]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "hand.obj"
         trimesh.Trimesh(1e3 * source.vertices, source.faces, process=False).export(path)
@@ -222,15 +223,20 @@ def main() -> None:
     lines = [
         "# Skin layers under whole hands",
         "",
-        f"`python scripts/bench_layers.py`, {processor()}, {os.cpu_count()} cores seen, one used, "
+        f"For developers. `python scripts/bench_layers.py`, {processor()}, {os.cpu_count()} cores seen, one used, "
         f"commit {git_commit()}.",
         "",
-        "`palmfield.hand.wholelayer.hand_layer` on closed surfaces and on their palmar side; the table has the worse",
-        f"of both, {keep_rows(PAGE, rows)} all rows, with p10 of the thickness and the area that is limited by 0.45 of",
-        "the body. Thickness is along the skin normal. Thinned: less than 0.999 of the requested thickness, at finger",
-        "webs, tips and creases, where thicker wedges would fold. Quality: scaled Jacobian (a Bernstein bound); above",
-        "0 no wedge is folded. Volume: that of the wedges over the integral of t - t^2 H + t^3 K / 3 on the skin, with",
-        "mean and Gaussian curvature H and K.",
+        "`palmfield.hand.wholelayer.hand_layer` makes layers of 1, 2, 3 and 5 mm under closed surfaces and under their",
+        f"palmar side. The table has the worse of both; {keep_rows(PAGE, rows)} has all rows.",
+        "",
+        "- Thickness is measured along the skin normal.",
+        "- Thinned means less than 0.999 of the requested thickness. This happens at finger webs, tips and creases, "
+        "where",
+        "  thicker wedges would fold.",
+        "- Quality is the smallest scaled Jacobian (a Bernstein bound). Above 0 no wedge is folded.",
+        "- The volume of the wedges is divided by the integral of t - t^2 H + t^3 K / 3 over the skin, with "
+        "thickness t,",
+        "  mean curvature H and Gaussian curvature K.",
         "",
         *worst(rows),
         "",

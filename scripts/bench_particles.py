@@ -144,22 +144,24 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skin_particles.md")
     arguments = parser.parse_args()
     clock = "processor seconds of one core" if arguments.device == "cpu" else "seconds"
-    text = f"""# Particles against the exact layer
+    text = f"""# Solver `particles`: time and error
 
-Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_particles.py --device {arguments.device}`
+For developers of solvers. Command:
+`OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_particles.py --device {arguments.device}`
 Device: {arguments.device}; machine: {platform.processor() or platform.machine()}, one thread.
 
 Disc 120 x 20 mm, Ecoflex 00-10 (nu 0.495), bonded, roller sides, spot of 10.3 mm, {LASTS:g} s from rest. Errors are
 in relative L2 over time, at the centre and 10 mm off, compared with the exact layer. "Law" is `law_error`, the
-error that the solver predicts. Cost is that of one run, in {clock}, the search for the stable step included.
+error that the solver predicts. The cost is that of one run, in {clock}, with the search for the stable step.
 
 | spacing [mm] | particles | ramp: centre | 10 mm | law | AM: centre | 10 mm | law | step [us] | cost [s] | us each |
 |---|---|---|---|---|---|---|---|---|---|---|
 {chr(10).join(motion_rows(arguments.device))}
 
-Static push within one width of the axis (relative L2 by area; law in brackets), disc of two widths' radius, by spacing:
+The next table has the error of the static push within one width of the axis (relative L2 by area; "law" in brackets),
+for a disc with a radius of two widths of the spot. The spacing is a share of this width:
 
-| spot [mm] | depth [mm] | nu | width / 3 | / 4 | / 6 | / 8 |
+| spot [mm] | depth [mm] | nu | width / 3 | width / 4 | width / 6 | width / 8 |
 |---|---|---|---|---|---|---|
 {chr(10).join(static_rows())}
 """

@@ -262,14 +262,14 @@ def main() -> None:
 ALL = "| body | model | peak, Pa | L2 | L2 of the mean | spot | up | sideways | s |"
 REPORT = """# Scattering by boundary elements, and how far the cheap models are from it
 
-`{command}`, {machine}, Warp {warp}, commit {commit}.
-40 kHz, 20 C. Elements a wavelength: wavelength over mean edge. Times are whole calls of `scatter`, memory what the call
-adds at its peak. GMRES stops at a residual of 1e-4.
+For everyone who uses `body_sound` `scattering`. `{command}`, {machine}, Warp {warp}, commit {commit}. 40 kHz, 20 C.
+"A wavelength" is the number of mean edges per wavelength. Times are those of whole calls of `scatter`. Memory is the
+peak that the call adds. GMRES stops at a residual of 1e-4.
 
 ## Rigid sphere in a plane wave
 
-Error: relative L2 of the surface pressure against the series. Force over pi a^2 E, from the wall pressure. ka = 1, 3
-and pi have the mesh that the shape of a sphere needs.
+The error is the relative L2 difference of the surface pressure from the series. The force is from the wall pressure,
+divided by pi a^2 E. For ka = 1, 3 and pi, the shape of the sphere determines the mesh.
 
 | ka | elements | a wavelength | error | force | series | difference | iterations | s | MB |
 |---|---|---|---|---|---|---|---|---|---|
@@ -279,21 +279,21 @@ and pi have the mesh that the shape of a sphere needs.
 
 ## Bodies before the array
 
-Array uhev1 at full drive with p0 = {p0:g} Pa m in lossless air, focused 200 mm above its middle, where the skin is.
+Array uhev1 at full drive with p0 = {p0:g} Pa m in lossless air, focused on the skin, 200 mm above its middle.
 
-"Up" is the force from the wall pressure, "far" from the momentum through a sphere around the body. Take the sphere for
-bodies with sharp rims, where the velocity along the surface is singular.
+"Up" is the force from the wall pressure. "Far" is the force from the momentum through a sphere around the body. Use
+"far" for bodies with sharp rims, where the velocity along the surface is singular.
 
 | body | elements | a wavelength | iterations | residual | up, mN | far, mN | s | MB |
 |---|---|---|---|---|---|---|---|---|
 {costs}
 
-ARP on faces that look at the array within 60 mm of the focus: peak, relative L2 difference from boundary elements by
-face, and the same of the mean over half a wavelength. Up: force on the body in mN ({link} has it within 10 mm of the
-focus, and sideways). Default ARP law with the transducers that a face sees, with one ray back along the energy flux,
-or without shadows.
+The next table compares the ARP of cheaper models with boundary elements, on faces that face the array within 60 mm of
+the focus. The models use the default ARP law. A face is lit by the transducers that it sees, or if one ray back along
+the energy flux is free, or always (no shadow). L2 is the relative difference by face. "L2 of the mean" is the same for
+means over half a wavelength. "Up" is the force on the body ({link} has more forces).
 
-| body | model | peak, Pa | L2 | L2 of the mean | up | s |
+| body | model | peak, Pa | L2 | L2 of the mean | up, mN | s |
 |---|---|---|---|---|---|---|
 {rows}
 

@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TIMES = 1e-4 * np.arange(1, 2001)
 AT = np.array([[0.0, 0.0], [0.01, 0.0]])
 OTHER_m = count(0.0, 1e-12)
-SHORT = ["| case | s | error | estimate |", "|---|---|---|---|"]
+SHORT = ["| case | time [s] | error | estimate |", "|---|---|---|---|"]
 MATRIX = np.random.default_rng(0).standard_normal((1000, 1000))
 
 
@@ -157,44 +157,44 @@ def main() -> None:
     round_ones, endless, general = (short(parts[i], r"[\w ]+, ([^|]+)") for i in (0, 1, 3))
     plates = short(parts[2], r"(.*), [\d.]+ m/s")
     lines = [
-        "# The reference disc and fast foci: seconds and errors",
+        "# Time and error for the reference disc and fast foci",
         "",
         "    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_skin_targets.py",
         "",
-        f"{processor()}, {os.cpu_count()} cores, load average {busy:.1f} at the start; commit {git_commit()}. Medians "
-        f"of {arguments.runs} runs, kernels compiled before; {link} adds the slowest, seconds of all threads, the "
-        "mesh, and a yardstick (a float64 product of 1000 x 1000 matrices on one thread).",
+        f"For developers of solvers. {processor()}, {os.cpu_count()} cores, load average {busy:.1f} at the start; "
+        f"commit {git_commit()}. Medians of {arguments.runs} runs with compiled kernels. {link} also has the "
+        "slowest run, the time of all threads, the mesh, and a yardstick (a float64 product of 1000 x 1000 matrices "
+        "on one thread).",
         "",
-        "## Disc (`axisymmetric`, target 1 %) and endless slab (`lateral_waves`)",
+        "## Disc (`axisymmetric`, target 1 %) and infinite slab (`lateral_waves`)",
         "",
-        "Ecoflex 00-10, 120 x 20 mm, bonded, spot of 10.3 mm, 0.2 s at 2000 times, centre and 10 mm off. Error: L2 "
-        "of the normal displacement, the worse point, against the same solver, finer (consistency; [skin](skin.md) has "
-        "accuracy).",
+        "Ecoflex 00-10, 120 x 20 mm, bonded, spot of 10.3 mm, 0.2 s at 2000 times, at the centre and 10 mm off. The "
+        "error is in L2 of the normal displacement at the worse point, compared with a finer solution of the same "
+        "solver (consistency; [skin](skin.md) has accuracy).",
         "",
-        "All sides (free, fixed, roller) together:",
+        "Disc with free, fixed and roller sides:",
         "",
         *SHORT,
         *round_ones,
         "",
-        "Endless slab:",
+        "Infinite slab:",
         "",
         *SHORT,
         *endless,
         "",
         "## Fast foci (`lateral_waves`, target 5 % of the displacement)",
         "",
-        "Endless plate of 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s, spot of 6 mm over 160 mm. Error: "
-        "L2 of the normal velocity at the end, at a 37th of 241 x 121 points, against tolerance 1e-3.",
-        "",
-        "3, 5 and 7 m/s together:",
+        "Infinite plate of 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s. A spot of 6 mm moves over 160 "
+        "mm at 3, 5 and 7 m/s. The error is in L2 of the normal velocity at the end, at a 37th of 241 x 121 points, "
+        "compared with tolerance 1e-3.",
         "",
         *SHORT,
         *plates,
         "",
         "## Disc by general elements (`spectral_elements`, target 2 %)",
         "",
-        f"Medians of {arguments.general_runs}, all sides; error against the disc's own solver. Where the estimate is "
-        "above the target, `solve` goes on with finer elements, which takes the time of the ramp.",
+        f"Medians of {arguments.general_runs} runs, for all sides. The error is relative to `axisymmetric`. If the "
+        "estimate is above the target, `solve` continues with finer elements. Then it takes the time of the ramp.",
         "",
         *SHORT,
         *general,

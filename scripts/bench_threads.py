@@ -60,11 +60,12 @@ def main() -> None:
     lines = [
         "# The field on all cores",
         "",
-        f"`python scripts/bench_threads.py`, {processor()}, {os.cpu_count()} cores seen, commit {git_commit()}. "
-        f"Pressure of 996 pistons with absorption, mode fast. {given.turns} turns each: plain hashing on all cores "
-        "over one, the same for the field, hashing again; sorted by the mean of the two hashings, medians of each.",
+        f"For developers. `python scripts/bench_threads.py`, {processor()}, {os.cpu_count()} cores seen, commit "
+        f"{git_commit()}. The table has the speed-up of the field by a second core: pressure of 996 pistons with "
+        f"absorption, mode fast. As a yardstick, plain hashing was measured before and after each of {given.turns} "
+        "rounds. Rounds with a similar speed-up of hashing are in one row, with medians.",
         "",
-        "| points | hashing, all cores over one | turns | field, all cores over one | M pairs/s on all |",
+        "| points | speed-up of hashing by all cores | rounds | speed-up of the field | M pairs/s on all cores |",
         "|---|---|---|---|---|",
     ]
     for points in (20_000, 400_000):

@@ -111,13 +111,17 @@ def digest() -> str:
 
 def ceilings(rate: float) -> str:
     """What the GPU could do at most, in words; rate: of `issue_rate`."""
-    sines = f"{SINES} of a pair's instructions are roots, sines and cosines: at most {rate / 8 / SINES / 1e12:.2f} T "
+    sines = (
+        f"{SINES} instructions of a pair are roots, sines and cosines, whose ceiling is "
+        f"{rate / 8 / SINES / 1e12:.2f} T "
+    )
     if not counted():
         return sines + "pairs/s. The others were not counted for these kernels: no share of the issue ceiling is given."
     most = [rate / SLOTS[what] / 1e12 for what in SLOTS]
     return (
-        f"A pair takes {SLOTS['p']} instructions, with gradient {SLOTS['p + gradient']}, beyond 0.4 m one more: at "
-        f"most {most[0]:.2f} and {most[1]:.2f} T pairs/s. {sines}pairs/s."
+        f"A pair takes {SLOTS['p']} instructions, or {SLOTS['p + gradient']} with the gradient, and one more beyond "
+        f"0.4 m. So the ceiling is {most[0]:.2f} T pairs/s, or {most[1]:.2f} T pairs/s with the gradient. "
+        f"{sines}pairs/s."
     )
 
 
@@ -179,23 +183,23 @@ def main() -> None:
     device = resolve("cuda:0")
     rate = issue_rate(device)
     lines = [
-        "# The GPU beside the CPU",
+        "# The field on a GPU",
         "",
-        f"`python scripts/check_gpu.py`, {wp.get_device(device).name}, Warp {wp.__version__}, commit "
-        f"{arguments.commit}. 1,000,003 points, 256 transducers, pistons with absorption; time with the "
-        "transfer of the results; rel-L2 against the float64 twin, which is our own (consistency; [peers](peers.md) "
-        "has its accuracy), over 20,003 points.",
+        f"For developers. `python scripts/check_gpu.py`, {wp.get_device(device).name}, Warp {wp.__version__}, commit "
+        f"{arguments.commit}. The field of 256 pistons with absorption is computed at 1,000,003 points. Times include "
+        "the transfer of the results. A pair is one transducer and one point. The error is relative L2 over 20,003 "
+        "points, compared with our own code in float64; [peers](peers.md) has the accuracy of that code.",
         "",
-        "| device | what | G pairs/s | rel-L2 |",
+        "| device | result | G pairs/s | error |",
         "|---|---|---|---|",
         *field_rows(device),
         "",
-        "## The kernels by themselves",
+        "## Only the kernels",
         "",
-        f"996 transducers (four AUTD3 units, pistons with absorption), {KERNEL_POINTS:,} points that stay on the GPU. "
-        f"It does {rate / 1e12:.1f} T multiply-adds a second. {ceilings(rate)}",
+        f"996 pistons with absorption (four AUTD3 units) and {KERNEL_POINTS:,} points that stay on the GPU. "
+        f"The GPU does {rate / 1e12:.1f} T multiply-adds a second. {ceilings(rate)}",
         "",
-        "| distance | mode | what | T pairs/s | share of the issue ceiling | rel-L2 |",
+        "| distance | mode | result | T pairs/s | share of the ceiling | error |",
         "|---|---|---|---|---|---|",
         *kernel_rows(device, rate),
         "",
@@ -205,9 +209,9 @@ def main() -> None:
     (gpu, gpu_s), (cpu, cpu_s) = sensor(device), sensor("cpu")
     difference = np.abs(gpu - cpu) / np.maximum(np.abs(cpu), 1e-12)
     lines += [
-        "`palm_am200` after 20 ms in plain `mj_step`, the skin solved on the CPU in both cases: force and displacement "
-        f"differ by at most {difference[2:4].max():.1e}; a step of 1 ms takes {1e3 * gpu_s:.1f} ms with the field on "
-        f"{device}, {1e3 * cpu_s:.1f} ms on the CPU.",
+        "`palm_am200` ran for 20 ms in plain `mj_step`, with the skin on the CPU and the field on either device. "
+        f"Force and displacement differ by at most {difference[2:4].max():.1e}. A step of 1 ms takes "
+        f"{1e3 * gpu_s:.1f} ms with the field on the GPU and {1e3 * cpu_s:.1f} ms with the field on the CPU.",
     ]
     text = "\n".join(lines) + "\n"
     print(text)

@@ -29,8 +29,9 @@ PEERS = {
 }
 """Of each other program: its name here, the module that it needs, cells along a side and layers."""
 ABOUT = (
-    f"Other programs solve once at rest and once at {F_Hz:g} Hz on a quarter of {1e3 * skin.RADIUS_M:g} mm; MuJoCo's "
-    "flex settles on a whole one, with the moduli of the solid at rest, and has no answer in time."
+    f"The other programs solve once at rest and once at {F_Hz:g} Hz, on a quarter of a disc of "
+    f"{1e3 * skin.RADIUS_M:g} mm. MuJoCo's flex settles on a whole disc, with the relaxed moduli. It gives no "
+    f"result at {F_Hz:g} Hz."
 )
 COMMAND = "python scripts/bench/compare_skin.py"
 PROGRAM = Path(__file__).resolve().parent / "skin_peers.py"

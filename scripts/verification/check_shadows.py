@@ -219,21 +219,23 @@ def main() -> None:
     options.write.write_text(text + "".join(elements[1:]))
 
 
-PAGE = """# Shadows with edges, and how far they are from the truth
+PAGE = """# Accuracy of shadows
 
-Written by `python scripts/verification/check_shadows.py --write {page}`, commit {commit}, {processor}.
+For everyone who uses `body_sound` `shadows`. Written by `python scripts/verification/check_shadows.py --write {page}`,
+commit {commit}, {processor}.
 
-Board uhev1, focus 200 mm above its middle. |p|^2 within 24 mm of the focus, as shares of the free peak. Key
-`shadow_edges`: `knife_edge` (default) lets sound bend round each edge, `rays` leaves a point lit or dark. Reference for
-screens {height:.0f} mm above the board in 33 places: Kirchhoff's integral over their area in float64.
+The focus is 200 mm above the middle of board uhev1. With key `shadow_edges` `knife_edge` (default) each edge diffracts
+the sound; with `rays` a point is lit or dark. The table has errors of |p|^2 within 24 mm of the focus, relative to the
+peak without the body. The bodies are screens {height:.0f} mm above the board at 33 positions. The reference is
+Kirchhoff's integral over their area in float64. The last two columns are the largest change of |p|^2 over 0.1 mm.
 
-| in the way | knife edge, worst | rms | rays, worst | rms | most in 0.1 mm, knife edge | rays |
+| body | knife edge, largest | rms | rays, largest | rms | knife edge, change in 0.1 mm | rays, change in 0.1 mm |
 |---|---|---|---|---|---|---|
 {rows}
 
-![|p|² behind what is in the way](../images/shadows.png)
+![|p|² behind a screen](../images/shadows.png)
 
-Black is the truth, red is knife edges, dotted green is rays.
+Black is the reference, red is knife edges, dotted green is rays.
 
 """
 

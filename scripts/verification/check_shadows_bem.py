@@ -207,20 +207,21 @@ SECTION = (
 Written by `python scripts/verification/check_shadows_bem.py --write {page}`,
 commit {commit}, {processor}, {seconds:.0f} s on a machine that others used.
 
-A rigid finger, {wide:.0f} mm thick and {long:.0f} mm long, lies across the beam below the plane of the focus, in
-places up to {last:.0f} mm from the middle. Reference: boundary elements of {elements:.0f} a wavelength, on 48 x 24 mm
-of that plane. Errors of |p|^2 as shares of the free peak: worst, rms, and points within 5 %, for knife edges of scenes
-(nodes {spacing:.0f} mm apart), for nodes {closer:.0f} mm apart, for Kirchhoff's integral over a flat strip of the
-finger's width (middle line), and for rays.
+A rigid finger, {wide:.0f} mm thick and {long:.0f} mm long, lies across the beam below the plane of the focus, at
+positions up to {last:.0f} mm from the middle. The reference is boundary elements, {elements:.0f} per wavelength, on
+48 x 24 mm of that plane. The table has errors of |p|^2 relative to the peak without the finger: the largest error, the
+rms error, and the share of points with an error below 5 %. It compares knife edges as in scenes (nodes {spacing:.0f} mm
+apart), knife edges with nodes {closer:.0f} mm apart, Kirchhoff's integral over a flat strip with the width of the
+finger, and rays.
 
-| below the palm | {header} |
+| finger below the palm | {header} |
 |---|---|---|---|---|---|---|---|---|---|---|---|---|
 {rows}
 
 ![|p|² behind a finger](../images/shadows_bem.png)
 
-5 % is met rms and at most points, and missed in the half shadow, where |p|^2 is steepest. A flat strip has similar
-errors: sound creeps round a finger and is reflected by its sides, unlike behind a screen.
+The rms error, and the error at most points, is below 5 %. In the half shadow, where |p|^2 is steepest, the error is
+larger. A flat strip has similar errors, because sound creeps round a real finger and its sides reflect sound.
 """
 )
 

@@ -263,38 +263,38 @@ def page(rows: list[Row], large: list[str], options: argparse.Namespace, command
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     return f"""# USD scenes of all shipped scenes
 
-Written by `{command}`, commit {options.commit or git_commit()}, {processor()}. Each scene
-was run for {1e3 * options.duration:g} ms at accuracy {options.accuracy:g}; its `scene.usdc` has all quantities,
-coloured by normal displacement, with magnified points if they take 8 MB or less. Figures are read from the file.
-Each scene: {kept}.
+For developers. Written by `{command}`, commit {options.commit or git_commit()}, {processor()}. Each scene
+was run for {1e3 * options.duration:g} ms at accuracy {options.accuracy:g}. Its `scene.usdc` has all quantities,
+coloured by normal displacement, and magnified points if they take 8 MB or less. The values are read from the files.
+{kept} has each scene.
 
-| check, {len(rows)} scenes | largest |
+| check of {len(rows)} scenes | largest value |
 |---|---|
 | findings of USD's validators and `palmfield.outputs.usd.validate_usd`, both variants | {found} |
-| ARP times area against the force on the body, worst frame | {max(r.force_percent for r in rows):.2f} % |
-| the same, mean against `total_force_mean_N` | {max(r.mean_percent for r in rows):.2f} % |
-| time code over timeCodesPerSecond against the time of the run | {max(r.code_s for r in rows):.0e} s |
-| transducers against MuJoCo's sites | {max(r.transducer_m for r in rows):.0e} m |
-| error of any quantity of the skin over the bound that the file states | {max(r.skin_share for r in rows):.3f} |
-| legends whose ends are not those of the palettes | {sum(not r.legend for r in rows)} |
+| ARP times area compared with the force on the body, worst frame | {max(r.force_percent for r in rows):.2f} % |
+| mean of ARP times area compared with `total_force_mean_N` | {max(r.mean_percent for r in rows):.2f} % |
+| time code / timeCodesPerSecond compared with the time of the run | {max(r.code_s for r in rows):.0e} s |
+| transducers compared with MuJoCo's sites | {max(r.transducer_m for r in rows):.0e} m |
+| error of any quantity of the skin / stated bound | {max(r.skin_share for r in rows):.3f} |
+| legends whose ends differ from the palettes | {sum(not r.legend for r in rows)} |
 | file size | {max(r.bytes for r in rows) / 1e6:.2f} MB |
 | time to write (shared machine) | {max(r.write_s for r in rows):.1f} s |
 
 {chr(10).join(findings)}
 
-Silent, so that force and skin are not tested: {silent or "none"}. Quantities that a run does not have:
+Silent scenes, whose force and skin are not tested: {silent or "none"}. Quantities that a run does not have:
 
 {chr(10).join(f"- {', '.join(names)}: {why}" for why, names in left.items()) or "none"}
 
 ## 5,041 vertices, 500 frames
 
-ARP and normal displacement of a focus that runs on a circle of 30 mm, each to within 1/255 of its range.
+The scene has ARP and normal displacement of a focus on a circle of 30 mm, each within 1/255 of its range.
 
-| colour | MB | write [s] |
+| colour | file size [MB] | time to write [s] |
 |---|---|---|
 {chr(10).join(large)}
 
-The program's peak memory over all of this, the runs' data and USD's libraries included: {peak:.0f} MiB.
+The peak memory of the program, with the data of the runs and the libraries of USD, is {peak:.0f} MiB.
 """
 
 

@@ -175,18 +175,19 @@ def table(result: Measured, command: str, page: Path) -> str:
     return "\n".join(
         [
             f"## {result.scene} on {'the CPU' if result.device == 'cpu' else 'a GPU'}", "",
-            f"`{command}`, on {machine(result.device)}. Asked for {result.rate_Hz:g} pictures a second; "
-            f"**{result.pictures_s:.1f}** arrived. With the page, the simulation was **{result.slower:+.1%}** slower "
-            f"and a step took **{result.more_cpu:+.1%}** more CPU time of its own process (medians; {kept}).", "",
+            f"`{command}`, on {machine(result.device)}. {result.rate_Hz:g} pictures a second were requested, "
+            f"and **{result.pictures_s:.1f}** arrived. With the page, the simulation was **{result.slower:+.1%}** "
+            f"slower and a step took **{result.more_cpu:+.1%}** more CPU time of its own process (medians; "
+            f"{kept}).", "",
         ]
     )  # fmt: skip
 
 
-HEAD = """# Bench: the live view
+HEAD = """# Speed of the live view
 
-Made by `scripts/verification/check_view.py`. A picture is a new state of the mesh of the skin with its colours, as
-a client receives it. Drawing in the browser is not included. On a busy machine, the CPU time of a step is more
-reliable than the number of steps per second.
+For everyone who uses the live view. Made by `scripts/verification/check_view.py`. A picture is a new state of the mesh
+of the skin with its colours, as a client receives it. Drawing in the browser is not included. On a busy machine, the
+CPU time of a step is more reliable than the number of steps per second.
 
 """
 

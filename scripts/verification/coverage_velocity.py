@@ -166,27 +166,29 @@ def report(rows: list[dict[str, Any]], out: Path, count: int) -> None:
     lines = [
         "# Is the estimated error of the velocity true?",
         "",
-        "`python scripts/verification/coverage_velocity.py run`, then `report`; "
-        "[velocity.jsonl](coverage/velocity.jsonl) has one line per case. Code: "
+        "For everyone who relies on error estimates. `python scripts/verification/coverage_velocity.py run` solves the "
+        "cases, and `report` writes the page. [velocity.jsonl](coverage/velocity.jsonl) has one line per case. Code: "
         + ", ".join(sorted({row["commit"] for row in rows}))
         + f". Seeds: {', '.join(sorted({row['key'].partition('-')[0] for row in rows}))}.",
         "",
-        "Random bodies, materials and loads of ten kinds; half of the cases have a target accuracy of the velocity, "
-        "half of the displacement. True error: relative L2 over the times, at the worst point, against another solver "
-        f"at {FINER:g} of the accuracy or {SHARE:g} of the estimate, otherwise against the same solver, finer (*own*). "
-        f"A case is judged if the error of the reference is at most {CONVERGED:g} of the larger of estimate and true "
-        "error. All materials except those of short branches have a dashpot, without which no reference is possible in "
-        f"a minute. {drawn - len(rows)} of {drawn} cases had no line at the end. Intervals hold 95 %.",
+        "Bodies, materials and loads are random, of ten kinds. Half of the cases have a target accuracy of the "
+        "velocity, half of the displacement. The true error is in relative L2 over the times, at the worst point. "
+        f"The reference is another solver at {FINER:g} of the accuracy or {SHARE:g} of the estimate, or else a "
+        "finer solution of the same solver. A case is judged if the error of the reference is at most "
+        f"{CONVERGED:g} of the larger of estimate and true error. All materials except those with short branches "
+        f"have a dashpot; without it no reference can be computed in a minute. {drawn - len(rows)} of {drawn} cases "
+        "had no result at the end. Intervals are 95 % intervals.",
         "",
         "| kind | cases | judged | estimate >= true | below half | median estimate / true |",
         "|---|---|---|---|---|---|",
         f"| all | {cells(rows)} |",
-        f"| truth by another solver | {cells([row for row in rows if 'by' in row and not _own(row)])} |",
-        f"| truth by the same, finer | {cells([row for row in rows if 'by' in row and _own(row)])} |",
+        f"| reference by another solver | {cells([row for row in rows if 'by' in row and not _own(row)])} |",
+        f"| reference by the same solver, finer | {cells([row for row in rows if 'by' in row and _own(row)])} |",
         "",
         "Cases with an estimate below the true error:",
         "",
-        "| case | kind | accuracy of | target % | estimate % | true % | truth, its error % | s | solver |",
+        "| case | kind | target for | target [%] | estimate [%] | true error [%] | reference, its error [%] | time [s] "
+        "| solver |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in (row for row in rows if counted(row) and row["estimate"] < row["true"]):

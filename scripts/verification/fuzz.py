@@ -114,15 +114,19 @@ def main() -> int:
     spent = time.monotonic() - start
     command = f"python scripts/verification/fuzz.py --cases {arguments.cases} --seed {arguments.seed}"
     page = [
-        "# What malformed inputs come to",
+        "# Malformed inputs",
+        "",
+        "For developers. Random and forbidden inputs must give an error message of one line, and never a crash.",
         "",
         f"    {command} --write docs/bench/fuzzing.md",
         "",
-        "Inputs are drawn by hypothesis (`scripts/verification/fuzz_cases.py`): forbidden values and combinations of "
-        "keys, a small scene with a known fault or random changes, and a ball as OBJ, STL, PLY or GLB with the same. "
-        "Nothing is simulated. An input changed at random may still be valid. Bad: tracebacks, crashes, more than "
-        f"{LONGEST_S:g} s, forbidden inputs accepted, and refusals of several lines or in the words of MuJoCo, its XML "
-        "parser, pydantic or Python's imports.",
+        "hypothesis draws the inputs (`scripts/verification/fuzz_cases.py`): forbidden values and combinations of "
+        "keys, and small scenes and meshes of a ball with a known fault or random changes. Nothing is simulated. A "
+        "randomly changed "
+        f'input may still be valid. "Bad" are tracebacks, crashes, more than {LONGEST_S:g} s, forbidden inputs that '
+        "are "
+        "accepted, and messages of several lines or in the words of MuJoCo, its XML parser, pydantic or Python's "
+        "imports.",
         "",
         f"{len(outcomes)} different inputs with {faults} kinds of faults, seed {arguments.seed}, {spent:.0f} s.",
         "",

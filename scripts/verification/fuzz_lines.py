@@ -243,12 +243,13 @@ def main() -> int:
         f"    python scripts/verification/fuzz_lines.py --lines {arguments.lines} --seed {arguments.seed} "
         "--write docs/bench/fuzzing.md",
         "",
-        f"Commit {commit}, {time.monotonic() - start:.0f} s. Half of the lines go by TCP to the listener of `drive "
-        "--live` (foci), half to that of `trial --live` and `track record` (hands). Each must be counted once, as "
-        "taken or refused, foci as an independent reader judges them, and the listener must take a good line in the "
-        f"end. Batches of {BATCH} sent again, because they had waited for 0.1 s: {again}. Faults: {len(faults)}.",
+        f"Commit {commit}, {time.monotonic() - start:.0f} s. Half of the lines are sent by TCP to the listener of "
+        "`drive --live` (foci), half to that of `trial --live` and `track record` (hands). Each line must be "
+        "counted once, as accepted or refused. For foci, an independent reader checks the decision. At the end the "
+        f"listener must accept a good line. {again} batches of {BATCH} lines were sent again, because they had "
+        f"waited for 0.1 s. Faults: {len(faults)}.",
         "",
-        f"| change of the line | {' | '.join(f'{door}: taken, refused' for door in DOORS)} |",
+        f"| change of the line | {' | '.join(f'{door}: accepted, refused' for door in DOORS)} |",
         "|---" * (1 + len(DOORS)) + "|",
         *(f"| {kind} | {' | '.join(counts)} |" for kind, counts in rows.items()),
         "",

@@ -388,10 +388,11 @@ def main() -> int:
         f"    python scripts/verification/fuzz_trees.py --cases {arguments.cases} --seed {arguments.seed} "
         "--write docs/bench/fuzzing.md",
         "",
-        f"Commit {git_commit()}, {time.monotonic() - start:.0f} s. {len(outcomes)} well-formed scenes, "
-        f"{SHARE_OF_SHIPPED:.0%} of them shipped, the others forms of a small one, with one to three changes each. "
-        "Each is planned, and stepped three times if the plan expects a few seconds. Bad: as above, NumPy warnings, "
-        "and numbers that are not finite.",
+        f"Commit {git_commit()}, {time.monotonic() - start:.0f} s. {len(outcomes)} well-formed scenes had one to three "
+        f"random changes each. {SHARE_OF_SHIPPED:.0%} of them are shipped scenes, and the others variants of a "
+        "small scene. "
+        'Each scene is planned, and stepped three times if the plan expects a few seconds. "Bad" also includes NumPy '
+        "warnings and numbers that are not finite.",
         "",
         f"Refused: {counts['all']['refused']}, accepted: {counts['all']['accepted']}, bad: "
         f"{sum(counts['all'][one] for one in BAD)} ({link}).",

@@ -325,13 +325,13 @@ def page(outcomes: Sequence[Outcome]) -> str:
         "",
         "    python scripts/verification/mutations.py --write docs/bench/mutations.md",
         "",
-        f"{len(outcomes)} faults are put into a copy of the package one at a time "
-        "(`scripts/verification/mutation_table.py` names fault, file and test). The named test runs there in a process "
-        "of its own: it must fail by its own assertion or by an error that palmfield raises on purpose, and pass "
-        f"without the fault. {red} of {len(outcomes)} do. CI runs them all (`tests/test_mutations.py`).",
+        "For developers. A mutation is a fault that is put into a copy of the package on purpose, one at a time. A "
+        f"test is named for each of the {len(outcomes)} faults (`scripts/verification/mutation_table.py`). This "
+        "test must fail with the fault, by its own assertion or by an error of palmfield, and pass without it. "
+        f"{red} of {len(outcomes)} do. CI runs all of them (`tests/test_mutations.py`).",
         "",
-        "Where one exists, the test is one of accuracy: it compares with an exact solution, a measurement, or an "
-        "independent float64 code. The other tests are of consistency.",
+        "If there is a test of accuracy for a fault, this test is used: it compares with an exact solution, a "
+        "measurement, or an independent float64 code. The other tests are tests of consistency.",
         "",
     ]
     stages = Counter(one.mutation.stage for one in outcomes)
@@ -339,7 +339,7 @@ def page(outcomes: Sequence[Outcome]) -> str:
     lines += [f"- not found: `{one.mutation.test}`: {one.said}" for one in outcomes if not one.red]
     seconds = sum(one.seconds for one in outcomes)
     load = f"at a load average of {os.getloadavg()[0]:.1f}"
-    said = f"Seconds are of one process each, its start included; {seconds:.0f} together, {load}."
+    said = f"All tests together take {seconds:.0f} s, one process each, {load}."
     return "\n".join([*lines, said, ""])
 
 

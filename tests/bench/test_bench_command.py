@@ -21,7 +21,7 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *a
 
 def test_help_lists_what_there_is_and_teaches(monkeypatch, capsys) -> None:
     code, out = call(monkeypatch, capsys, "bench", "--help")
-    assert code == 0 and re.search(r"^\W*field\s+Speed and error", out.out, re.MULTILINE)
+    assert code == 0 and re.search(r"^\W*field\s+Measure speed and error", out.out, re.MULTILINE)
     code, out = call(monkeypatch, capsys, "bench", "field", "--help")
     assert code == 0 and "palmfield bench field --only gradient" in out.out
 

@@ -87,5 +87,5 @@ def test_another_skin_program_gives_its_error_and_a_missing_one_its_name(tmp_pat
 def test_the_skin_report_says_what_other_programs_solve(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compare_skin, "peer", lambda *_: skin.SkinRow("MuJoCo flex, trilinear", "4 cells", 1.0, 0.5))
     report = compare_skin.report(only="flex", commit="abc1234")
-    assert "    python scripts/bench/compare_skin.py --out" in report and "Other programs solve once" in report
+    assert "    python scripts/bench/compare_skin.py --out" in report and "The other programs solve once" in report
     assert "| MuJoCo flex, trilinear | 4 cells | 1 | 50 % |" in report

@@ -158,14 +158,14 @@ def as_markdown(
         f"{processor()}, one thread; palmfield on {device_name(device)}; commit {commit}. Yardstick: one float64 "
         f"product of 1000 x 1000 matrices took {1e3 * yard_s:.1f} ms.",
         "",
-        f"An infinite bonded slab of {CASE.material.name}, {1e3 * CASE.depth_m:g} mm thick, under a spot of "
-        f"{1e3 * CASE.fwhm_m:g} mm: static displacement of the centre and its complex amplitude at {F_Hz:g} Hz, "
-        f"compared with plane waves in depth. The solvers of palmfield run {END_s:g} s of amplitude modulation "
-        "from rest, with their error estimate (a second solution) and, if it exceeds the target, a finer one; "
-        f"values come from the last {1e3 * LAST_s:g} ms. axisymmetric and particles use a disc of "
-        f"{1e3 * RADIUS_M:g} mm radius, the others a domain of their own choice. "
+        f"The body is an infinite bonded slab of {CASE.material.name}, {1e3 * CASE.depth_m:g} mm thick, under a "
+        f"spot of {1e3 * CASE.fwhm_m:g} mm. Two values are compared with plane waves through the depth: the static "
+        f"displacement of the centre, and its complex amplitude at {F_Hz:g} Hz. The solvers of palmfield compute "
+        f"{END_s:g} s of amplitude modulation from rest, with an error estimate by a second solution. If the "
+        f"estimate exceeds the target, they compute a finer solution. Values are from the last {1e3 * LAST_s:g} ms. "
+        f"axisymmetric and particles use a disc of {1e3 * RADIUS_M:g} mm radius; the others choose their domain. "
         + (f"{peers.about} " if peers is not None else "")
-        + "Times without compiling.",
+        + "Times do not include compilation.",
         "",
         "| method | size | seconds | error at rest | error at 200 Hz | stated |",
         "|---|---|---|---|---|---|",

@@ -97,18 +97,18 @@ def as_markdown(rows: list[FieldRow], head: Head, models: dict[str, str]) -> str
         "",
         f"    {head.command}",
         "",
-        f"{head.processor}; palmfield on {head.device}; commit {head.commit}. Yardstick, directly before each "
+        f"{head.processor}; palmfield on {head.device}; commit {head.commit}. Yardstick directly before each "
         f"round: one float64 product of 1000 x 1000 matrices on one thread took {1e3 * head.yardstick_s:.1f} ms, "
-        f"{2.0 / head.yardstick_s:.1f} GFLOP/s; {os.cpu_count()} threads of hashing did {head.cores:.2f} times the "
-        "work of one, the upper bound for all cores.",
+        f"{2.0 / head.yardstick_s:.1f} GFLOP/s. {os.cpu_count()} threads of hashing did {head.cores:.2f} times the "
+        "work of one thread, which is an upper bound for all cores.",
         "",
-        f"{head.transducers} transducers (four AUTD3 units); the same points and drive for all, "
-        f"{' and '.join(str(n) for n in head.points)} points in a box 0.2 m wide over the middle, at two ranges of "
-        "distance from the array's plane. Every method runs in its own process, on one thread unless stated, in "
-        f"turns with the others; medians of {head.runs} runs. A pair is one transducer and one point. Set-up: work "
-        "that is not repeated for another drive. Error: relative L2 difference of the complex pressure to float64 "
-        "of the same model; (m): of the magnitude, for programs without phase. Memory: peak on the host beyond "
-        "that for 64 points.",
+        f"All methods compute the same field: {head.transducers} transducers (four AUTD3 units) and "
+        f"{' or '.join(str(n) for n in head.points)} points in a box 0.2 m wide, at two ranges of distance from the "
+        "plane of the array. Each method runs in its own process, on one thread unless stated. Values are medians of "
+        f"{head.runs} runs. A pair is one transducer and one point. Set-up is work that is not repeated for another "
+        "drive. The error is the relative L2 difference of the complex pressure from float64 of the same model; (m) "
+        "means that of the magnitude, for programs without phase. Memory is the peak on the host, minus that for 64 "
+        "points.",
         "",
     ]
     for model, text in models.items():
