@@ -188,14 +188,14 @@ def _sums(
 
         sums.add("damping", side_dashpots(mesh, rows, matched_Hz))
     held_bulk = [0.0 if row.bulk_relaxes else row.bulk_Pa for row in rows]
-    sums.add("elastic", pattern.blocks(_by_row(mesh, held_bulk)[..., None, None] * volumetric))
+    sums.add("elastic", pattern.blocks((_by_row(mesh, held_bulk), volumetric)))
     for law in dict.fromkeys(row.law for row in rows):
         own = [row if row.law == law else None for row in rows]
-        blocks = _by_row(mesh, [row.shear_relaxed_Pa if row else 0.0 for row in own])[..., None, None] * deviatoric
+        stiff = [(_by_row(mesh, [row.shear_relaxed_Pa if row else 0.0 for row in own]), deviatoric)]
         bulk = [row.bulk_Pa if row and row.bulk_relaxes else 0.0 for row in own]
         if any(bulk):
-            blocks += _by_row(mesh, bulk)[..., None, None] * volumetric
-        sums.relax(next(row for row in own if row), pattern.blocks(blocks))
+            stiff.append((_by_row(mesh, bulk), volumetric))
+        sums.relax(next(row for row in own if row), pattern.blocks(*stiff))
     if below.sheets or springs != Springs(0.0, 0.0) or shear_spring > 0.0:
         # Most scenes have none of these terms
         from palmfield.skin.fem.foundation import BaseFace, rim_dashpots, sheet_mass, sheet_stiffness
@@ -333,12 +333,16 @@ class _Pattern:
     def _sum(self, values: Float) -> Float:
         return np.bincount(self.slot, weights=values.ravel(), minlength=len(self.indices)).astype(np.float64)
 
-    def blocks(self, values: Float) -> sparse.csr_matrix:
-        """Sum of element blocks (m, 18, 18, 3, 3) as a csr matrix over 3 components a node."""
+    def blocks(self, *parts: tuple[Float, Float]) -> sparse.csr_matrix:
+        """Sum of element blocks as a csr matrix over 3 components a node.
+
+        parts: terms of the blocks, each a factor by element, (m, 1, 1), and unit blocks, (m, 18, 18, 3, 3)
+        """
         data = np.empty((len(self.indices), 3, 3))
         for i in range(3):
             for j in range(3):
-                data[:, i, j] = self._sum(values[..., i, j])
+                # Component by component, without another array of all blocks
+                data[:, i, j] = self._sum(sum(factor * blocks[..., i, j] for factor, blocks in parts))
         return sparse.bsr_matrix((data, self.indices, self.starts), shape=(3 * self.nodes, 3 * self.nodes)).tocsr()
 
     def scalars(self, values: Float) -> sparse.csr_matrix:
