@@ -41,3 +41,8 @@ class Lazy(Generic[T]):
     def value(self) -> T:
         """The object. Errors of its making are raised."""
         return self._make()
+
+    def forget(self) -> None:
+        """Free the value; it is made again at its next use."""
+        with self.lock:
+            vars(self).pop("value", None)

@@ -15,6 +15,7 @@ from palmfield.estimate.cost import FINER_BELOW
 from palmfield.estimate.numerical_error import SteppedRun, error_estimate
 from palmfield.estimate.numerics.loudest_sound import LoudestSound
 from palmfield.estimate.numerics.mesh_error import meshes_to_compare
+from palmfield.estimate.numerics.point_response import Response
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.forces import body_force
 from palmfield.simulation.radiation import Radiation
@@ -322,3 +323,15 @@ def test_a_layer_that_only_its_cut_edge_holds_is_known_to_nothing(small_scene, m
     scene = palmfield.load(box_scene(small_scene, base="free", side="fixed"))
     scene.step(3)
     assert estimate(scene, moment(scene))["edge_error_relative"] == 1.0
+
+
+def test_matrices_of_other_meshes_are_freed_and_those_of_the_scene_kept(small_scene, moment) -> None:
+    scene = palmfield.load(small_scene())
+    scene.step(3)
+    own = scene.runtime.model.skins[0].layer
+    sound = LoudestSound(scene.runtime.model, 0, moment(scene), Radiation(scene.runtime.model))
+    assert own.system.matrices.made
+    for layer, kept in ((own, True), (own.resized(1.5), False)):
+        response = Response(layer, sound.on(layer), np.zeros(3))
+        response.solve()
+        assert response.harmonic != 0.0 and layer.system.matrices.made == kept

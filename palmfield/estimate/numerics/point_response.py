@@ -35,12 +35,16 @@ class Response:
         return other
 
     def solve(self) -> None:
+        """Make the models; matrices that no one had before are freed afterwards."""
         layer, others = self.layer, self.others
+        fresh = [one.layer.system.matrices for one in (self, *others) if not one.layer.system.matrices.made]
         force, read = layer.quadrature.operator @ self.pressure, layer.probe(self.point).operator.toarray()[0]
         frequencies = layer.demand.main_frequency_Hz, layer.demand.max_frequency_Hz
         models = point_model(layer.system, force, read, *frequencies, [other.layer.system for other in others])
         for response, model in zip((self, *others), models, strict=True):
             response.small = model
+        for matrices in fresh:
+            matrices.forget()
 
     @property
     def static(self) -> float:

@@ -138,8 +138,9 @@ def assemble(
             return result
 
         sums = _sums(mesh, rows, below, springs, shear_spring, matched_Hz, sponge_1_s)
-        parts = tuple(Part(free(matrix), owner) for matrix, owner in sums.relaxing.values())
-        mass, damping, elastic = (free(sums.total[name]) for name in ("mass", "damping", "elastic"))
+        # Each is freed before the next is made
+        parts = tuple(Part(free(matrix), owner) for matrix, owner in map(sums.relaxing.pop, list(sums.relaxing)))
+        mass, damping, elastic = (free(sums.total.pop(name)) for name in ("mass", "damping", "elastic"))
         return Matrices(mass, damping, elastic, parts)
 
     return SkinSystem(
