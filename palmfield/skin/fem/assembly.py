@@ -343,7 +343,7 @@ class _Pattern:
         for i in range(3):
             for j in range(3):
                 # Component by component, without another array of all blocks
-                data[:, i, j] = self._sum(sum(factor * blocks[..., i, j] for factor, blocks in parts))
+                data[:, i, j] = self._sum(np.add.reduce([factor * blocks[..., i, j] for factor, blocks in parts]))
         return sparse.bsr_matrix((data, self.indices, self.starts), shape=(3 * self.nodes, 3 * self.nodes)).tocsr()
 
     def scalars(self, values: Float) -> sparse.csr_matrix:
