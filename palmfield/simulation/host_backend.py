@@ -88,6 +88,7 @@ class HostBackend(Backend):
         self._posed: list[PosedScene] = [work.reference for work in works]
         self._poses: Serials = np.zeros(worlds, np.int64)
         self._apart: list[int] = []
+        self._emitted: dict[int, Complex] = {}  # by world of `_apart`, at the beginning of its step
         self._smooth_keys: Serials = np.zeros((0, 2), np.int64)
         # Means over the step: drives of a world with several; by body, its single drive or its ARP at the samples
         self._means: dict[int, MeanDrives] = {}
@@ -152,6 +153,7 @@ class HostBackend(Backend):
         self.smooth.joined = self.smooth.joined[:0]
         self._hold_points(0, t0)
         self.works[0].look_ahead(posed)
+        self._emitted[0] = self.state.emission()[0]
 
     def _hold_points(self, world: int, t0: float) -> None:
         """Update foci whose control tick is due; after a reset drop held foci and precomputed steps."""
@@ -182,7 +184,8 @@ class HostBackend(Backend):
         """Compute the mean drives of a world that is stepped separately."""
         work, posed = self.works[world], self._posed[world]
         work.look_ahead(posed)
-        mean = work.emission.mean_drives(posed, self._states[world].emission()[0], t0)
+        emitted = self._emitted[world] = self._states[world].emission()[0]
+        mean = work.emission.mean_drives(posed, emitted, t0)
         if len(mean.weights):
             self._means[world] = mean
 
@@ -262,7 +265,7 @@ class HostBackend(Backend):
     def _sounds_now(self, world: int) -> list[Sounding]:
         """Return the drives at the start of the step in a world that is stepped separately; empty in silence."""
         work, posed = self.works[world], self._posed[world]
-        course = work.emission.now(posed, self._states[world].emission()[0], self._begun_s)
+        course = work.emission.now(posed, self._emitted[world], self._begun_s)
         drive, factor = present_drive(course)
         return [] if drive is None else [self._single(world, np.array([factor]), drive, course.serial)]
 
@@ -320,7 +323,7 @@ class HostBackend(Backend):
     def _step_one(self, world: int, t0: float, t1: float, skins: bool) -> None:
         """Do `step_skins` in a world that is stepped separately."""
         model, posed, state = self.models[world], self._posed[world], self._states[world]
-        begun = state.emission()[0]
+        begun = self._emitted[world]
         count = round((t1 - t0) / model.step_s)
         moments, course = self._course(world, begun, t0, count)
         if skins:

@@ -108,7 +108,7 @@ class SceneGraph(HostBackend):
     def _compute(self, posed: PosedScene, t0: float) -> bool:
         """Compute the step that begins at t0 [s] in the graph; False leaves it to the host."""
         emission = self._work.emission
-        emitted = self.state.emission()[0]
+        emitted = self._emitted[0] = self.state.emission()[0]
         self._made.of("transducers", posed.arrays.serial, self._transducers.move, posed.arrays)
         path = None if self.watched else emission.path_step(posed, t0, self.model.substeps)
         if path is not None:
