@@ -56,6 +56,21 @@ class Held:
     count: int = 0
 
 
+@dataclass
+class _Thread:
+    """A thread with open phases: names of the phase around them in the measured thread and of its own; its CPU time
+    at the last event [s]."""
+
+    around: tuple[str, ...]
+    own: list[str]
+    cpu_s: float
+
+    def open(self) -> list[tuple[str, ...]]:
+        """Return the keys of the open phases in Profile.phases, outermost first."""
+        whole = (*self.around, *self.own)
+        return [whole[:depth] for depth in range(1, len(whole) + 1)]
+
+
 class Profile:
     """Measured times and memory; its text is a table.
 
@@ -69,9 +84,8 @@ class Profile:
         self.held: dict[str, Held] = {}
         # A finalizer may run while this thread has the lock
         self._lock = threading.RLock()
-        self._main = threading.get_ident()
-        self._open: dict[int, list[str]] = {self._main: []}
-        self._clocks: dict[int, float] = {}
+        self._main, self._number = _Thread((), [], 0.0), threading.get_ident()
+        self._others: dict[int, _Thread] = {}
         self._begun = self._wall = time.perf_counter()
         self._cpu = time.process_time()
         self._known: set[int] = set()
@@ -85,23 +99,23 @@ class Profile:
         """Begin a phase of this thread."""
         with self._lock:
             self.update()
-            thread = threading.get_ident()
-            if thread not in self._open:
-                self._open[thread] = self._open[self._main][:1]
-                self._clocks[thread] = _clock(thread)
-            self._open[thread].append(name)
-            self.phases.setdefault(tuple(self._open[thread]), Times()).calls += 1
+            number = threading.get_ident()
+            thread = self._main if number == self._number else self._others.get(number)
+            if thread is None:
+                thread = self._others[number] = _Thread(tuple(self._main.own[:1]), [], _clock(number))
+            thread.own.append(name)
+            self.phases.setdefault(thread.open()[-1], Times()).calls += 1
 
     def end(self) -> None:
         """End the last phase of this thread."""
         with self._lock:
             self.update()
-            thread = threading.get_ident()
-            path = self._open[thread]
-            self.phases[tuple(path)].peak_bytes = peak_bytes()
-            path.pop()
-            if thread != self._main and len(path) <= 1:
-                del self._open[thread], self._clocks[thread]
+            number = threading.get_ident()
+            thread = self._main if number == self._number else self._others[number]
+            self.phases[thread.open()[-1]].peak_bytes = peak_bytes()
+            thread.own.pop()
+            if not thread.own:
+                self._others.pop(number, None)
 
     def update(self) -> None:
         """Add the time since the last event to the open phases."""
@@ -109,17 +123,15 @@ class Profile:
             wall, cpu = time.perf_counter(), time.process_time()
             took, used = wall - self._wall, cpu - self._cpu
             self._wall, self._cpu = wall, cpu
-            for thread, last in self._clocks.items():
-                self._clocks[thread] = _clock(thread)
-                own, path = self._clocks[thread] - last, self._open[thread]
-                used -= own
-                for depth in range(1, len(path) + 1):
-                    self.phases[tuple(path[:depth])].cpu_s += own
-                self.phases[tuple(path)].beside_s += took
-            path = self._open[self._main]
-            for depth in range(1, len(path) + 1):
-                times = self.phases[tuple(path[:depth])]
-                times.cpu_s, times.wall_s = times.cpu_s + used, times.wall_s + took
+            for number, thread in self._others.items():
+                before, thread.cpu_s = thread.cpu_s, _clock(number)
+                used -= thread.cpu_s - before
+                for key in thread.open():
+                    self.phases[key].cpu_s += thread.cpu_s - before
+                self.phases[key].beside_s += took
+            for key in self._main.open():
+                self.phases[key].cpu_s += used
+                self.phases[key].wall_s += took
 
     def count(self, kind: str, thing: object) -> None:
         """Count the arrays of an object, each once, until they are freed."""

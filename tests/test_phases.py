@@ -67,6 +67,22 @@ def test_a_phase_of_another_thread_is_beside_those_of_the_first():
     assert beside.beside_s <= first.wall_s <= profile.total.wall_s
 
 
+def test_phases_of_a_thread_that_begins_before_any_other():
+    def other():
+        with phase("other"):
+            phase("inner")(work)(0.01)
+            work(0.01)
+
+    with measured() as profile:
+        thread = threading.Thread(target=other)
+        thread.start()
+        thread.join()
+        with phase("first"):
+            pass
+    assert [key for key in profile.phases if key != (BEFORE,)] == [("other",), ("other", "inner"), ("first",)]
+    assert profile.phases["other",].cpu_s >= 0.02 and profile.phases["other", "inner"].cpu_s >= 0.01
+
+
 def test_a_phase_may_end_after_its_measurement():
     with measured() as profile:
         begun = phase("long")
