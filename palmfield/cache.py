@@ -88,8 +88,7 @@ def kept(
     work = phase(kind.replace("-", " "))(make)
     if where is None:
         return work()
-    with phase("cache"):
-        key = digest(code or code_mark(), kind, *depends_on)
+    key = phase("cache")(digest)(code or code_mark(), kind, *depends_on)
     path = where / f"{kind}-{key}.npz"
     try:
         where.mkdir(parents=True, exist_ok=True)
@@ -99,12 +98,10 @@ def kept(
         _say(f"cache folder {where}: {reason_of(error)}; continuing without a cache")
         return work()
     try:
-        with phase("cache"):
-            answer = _read(path, key)
+        answer = phase("cache")(_read)(path, key)
         if answer is None:
             answer = work()
-            with phase("cache"):
-                _write(path, key, answer)
+            phase("cache")(_write)(path, key, answer)
         return answer
     finally:
         lock.release()

@@ -18,11 +18,10 @@ class phase:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._profile: Any = None
 
     def __enter__(self) -> None:
-        if running:
-            self._profile = running[-1]
+        self._profile: Any = running[-1] if running else None
+        if self._profile is not None:
             self._profile.begin(self.name)
 
     def __exit__(self, *error: object) -> None:
@@ -34,13 +33,8 @@ class phase:
         def measured(*args: P.args, **kwargs: P.kwargs) -> T:
             with phase(self.name):
                 made = function(*args, **kwargs)
-            holds(self.name, made)
+            for profile in running[-1:]:
+                profile.count(self.name, made)
             return made
 
         return measured
-
-
-def holds(name: str, thing: object) -> None:
-    """Count the arrays that an object refers to under a name, until they are freed."""
-    if running:
-        running[-1].count(name, thing)

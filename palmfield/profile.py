@@ -186,6 +186,12 @@ def measured() -> Iterator[Profile]:
         profile.update()
 
 
+def holds(name: str, thing: object) -> None:
+    """Count the arrays that an object refers to under a name, until they are freed."""
+    if running:
+        running[-1].count(name, thing)
+
+
 def peak_bytes() -> int:
     """Return the highest resident memory of the process so far [bytes]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -85,3 +85,9 @@ def test_a_scene_without_a_cache_loads_few_lines():
 def test_a_recorded_run_loads_pictures_at_its_end():
     here = loaded("import palmfield; palmfield.run, palmfield.recover")
     assert "xarray" in here and not here & (PICTURES | {"trimesh"})
+
+
+def test_pictures_and_usd_load_no_signal_processing():
+    """scipy.signal takes half a second."""
+    here = loaded("import palmfield.outputs.plots, palmfield.outputs.render, palmfield.outputs.usd.write")
+    assert {"matplotlib", "pxr"} < here and not here & {"scipy.signal", "scipy.stats"}

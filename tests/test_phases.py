@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import palmfield.cli.app as program
-from palmfield.phases import holds, phase
-from palmfield.profile import BEFORE, ELSEWHERE, measured
+from palmfield.phases import phase
+from palmfield.profile import BEFORE, ELSEWHERE, holds, measured
 
 
 def work(seconds):

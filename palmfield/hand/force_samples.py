@@ -22,8 +22,7 @@ NEIGHBOURS, KERNEL_m, KERNEL_TURN, ROUGH, SIDE_m = 32, 6e-3, 1.0, 0.01, 8e-3
 """Interpolation of the ARP between samples: number of samples per face, length of the Gaussian kernel along the surface
 and between unit normals, share of the variance that differs from face to face, and distance equivalent to a difference
 of 1 between normals in the search for samples."""
-AT_ONCE = 256
-"""Number of faces that are interpolated together: their arrays of 6 MB fit the cache of a processor."""
+AT_ONCE = 256  # faces that are interpolated together: their arrays fit the cache of a processor
 MOST_STORED = 32
 _stored: dict[str, "SampleMesh"] = {}
 

@@ -23,8 +23,8 @@ from palmfield.outputs.schema import MUJOCO_SCENE, group
 from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occupied, write_json
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
-from palmfield.phases import holds, phase
-from palmfield.profile import peak_bytes
+from palmfield.phases import phase
+from palmfield.profile import holds, peak_bytes
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.mujoco_scene import body_poses
 from palmfield.session.open_scene import Source

@@ -335,14 +335,10 @@ class _Pattern:
         return np.bincount(self.slot, weights=values.ravel(), minlength=len(self.indices)).astype(np.float64)
 
     def blocks(self, *parts: tuple[Float, Float]) -> sparse.csr_matrix:
-        """Sum of element blocks as a csr matrix over 3 components a node.
-
-        parts: terms of the blocks, each a factor by element, (m, 1, 1), and unit blocks, (m, 18, 18, 3, 3)
-        """
+        """Sum of factors (m, 1, 1) times element blocks (m, 18, 18, 3, 3), as a csr matrix over 3 components a node."""
         data = np.empty((len(self.indices), 3, 3))
         for i in range(3):
             for j in range(3):
-                # Component by component, without another array of all blocks
                 data[:, i, j] = self._sum(np.add.reduce([factor * blocks[..., i, j] for factor, blocks in parts]))
         return sparse.bsr_matrix((data, self.indices, self.starts), shape=(3 * self.nodes, 3 * self.nodes)).tocsr()
 
