@@ -71,7 +71,7 @@ def modelled(model: HapticModel, duration_s: float, feedback: str) -> list[Row]:
         rows += _ring_up(stimulus)
     for skin in model.skins:
         rows += _layer(skin)
-    substeps = round(duration_s / model.step_s)
+    substeps, holds = round(duration_s / model.step_s), any(config.control_rate_Hz > 0.0 for config in model.configs)
     rows.append(
         Row(
             "time",
@@ -79,15 +79,10 @@ def modelled(model: HapticModel, duration_s: float, feedback: str) -> list[Row]:
             "dynamic, because the sound or the pose changes; Simulation.step takes the MuJoCo steps "
             + (f"one at a time: {feedback}" if feedback else "several at a time, because the sound moves no body")
             + "; a recorded run computes sound and motion at skin nodes "
-            + (f"one at a time: {held} holds foci" if (held := _held(model)) else "for many steps together"),
+            + ("one at a time: control_rate_Hz holds foci" if holds else "for many steps together"),
         )
     )
     return rows + [_solver(skin, model.still_m[skin.body]) for skin in model.skins]
-
-
-def _held(model: HapticModel) -> str:
-    """Return the key that makes a recorder write each step separately, or an empty text."""
-    return "control_rate_Hz" if any(config.control_rate_Hz > 0.0 for config in model.configs) else ""
 
 
 def _modulation(stimulus: StimulusModel, level: float) -> list[Row]:

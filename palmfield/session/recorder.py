@@ -125,10 +125,11 @@ class Recorder:
         self.turns = [PhaseTurns() for _ in self.model.stimuli]
         self._drive: Complex | None = None
         self._trace: StepTrace | None = None
+        size = sum(24 * self.model.substeps * len(skin.nodes[0]) for skin in self.model.skins)
         # The next tick changes held points, with which waiting steps are computed
-        self._together = 1 if runtime.work.emission.holds else together
+        self._together = 1 if runtime.work.emission.holds else min(together, 1 + WAITING_BYTES // size)
         self._waiting: list[Recorded] = []
-        self._waiting_bytes, self._written_at = 0, time.monotonic()
+        self._written_at = time.monotonic()
         self.begun_s = 0.0
         self._sensors = [
             (sensor.name, sensor.data) for skin in runtime.binding.skins for sensor in world.sensors(skin.instance)
@@ -184,9 +185,7 @@ class Recorder:
         for name, data in self._sensors:
             step[group("sensors", name)] = {"value": data[None].copy()}
         self._waiting.append(Recorded(trace.times, posed, emitted, motions, self._pressed(posed), step))
-        self._waiting_bytes += sum(24 * len(trace.times) * len(skin.nodes[0]) for skin in self.model.skins)
-        late = time.monotonic() - self._written_at > WAITING_s
-        if late or len(self._waiting) >= self._together or self._waiting_bytes >= WAITING_BYTES:
+        if len(self._waiting) >= self._together or time.monotonic() - self._written_at > WAITING_s:
             self._write()
 
     def _pressed(self, posed: PosedScene) -> "list[tuple[Int, Float] | None]":
@@ -203,7 +202,7 @@ class Recorder:
 
     def _write(self) -> None:
         """Write the waiting steps in one block."""
-        steps, self._waiting, self._waiting_bytes, self._written_at = self._waiting, [], 0, time.monotonic()
+        steps, self._waiting, self._written_at = self._waiting, [], time.monotonic()
         if not steps:
             return
         blocks, begin = [one.step for one in steps], 0
@@ -211,15 +210,14 @@ class Recorder:
             if end == len(steps) or not steps[end].goes_on(steps[end - 1]):
                 blocks.append(self._in_one_pose(steps[begin:end]))
                 begin = end
-        if steps[0].pressed:
-            for i, number in enumerate(self.model.first_skins):
-                skin = self.model.skins[number]
-                pressure = np.zeros((skin.sample_faces.shape[1], len(steps)))
-                for column, one in enumerate(steps):
-                    if (pressed := one.pressed[i]) is not None:
-                        pressure[pressed[0], column] = pressed[1]
-                face_arp = np.ascontiguousarray((skin.sample_faces @ pressure).T, np.float32)
-                blocks.append({group("surface", skin.spec.name): {"face_arp": face_arp}})
+        for i, number in enumerate(self.model.first_skins if steps[0].pressed else ()):
+            skin = self.model.skins[number]
+            pressure = np.zeros((skin.sample_faces.shape[1], len(steps)))
+            for column, one in enumerate(steps):
+                if (pressed := one.pressed[i]) is not None:
+                    pressure[pressed[0], column] = pressed[1]
+            face_arp = np.ascontiguousarray((skin.sample_faces @ pressure).T, np.float32)
+            blocks.append({group("surface", skin.spec.name): {"face_arp": face_arp}})
         block = joined(blocks)
         for variables in block.values():
             for array in variables.values():
