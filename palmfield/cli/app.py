@@ -31,6 +31,7 @@ from palmfield.cli.migrate import migrate
 from palmfield.cli.new import new
 from palmfield.cli.plan import plan
 from palmfield.cli.plot import plot
+from palmfield.cli.prepare import prepare
 from palmfield.cli.recover import recover
 from palmfield.cli.render import render
 from palmfield.cli.replay import replay
@@ -46,7 +47,7 @@ from palmfield.errors import PalmfieldError, SceneError
 
 GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Begin": (new, info, keys, stimulus, hand),
-    "Simulate": (plan, run, view, recover),
+    "Simulate": (plan, prepare, run, view, recover),
     "Look at results": (plot, render, usd),
     "Play on hardware": (boards, board, safety, drive, decode, replay, calibrate, track, trial),
     "Study": (sweep, compare, experiment),
