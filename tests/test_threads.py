@@ -91,6 +91,7 @@ def test_threads_may_be_the_first_to_launch_a_kernel():
         """
         import sys, threading
         import warp as wp
+        from palmfield import device
         from palmfield.device import recorded
         from warp_kernels.modes import Modes, lanes, step_modes
         sys.setswitchinterval(1e-6)
@@ -107,6 +108,7 @@ def test_threads_may_be_the_first_to_launch_a_kernel():
                 call()
         for _ in range(20):
             step_modes.module.unload()
+            device._loads.clear()
             threads = [threading.Thread(target=work) for _ in range(8)]
             for thread in threads: thread.start()
             for thread in threads: thread.join()

@@ -25,7 +25,7 @@ from page_client import PageClient, is_picture
 from palmfield.studies.bench.table import keep_rows
 from palmfield.studies.view.link import Link
 from palmfield.studies.view.messages import Address, Notice, Pace
-from palmfield.studies.view.run import GPU_RATE_Hz, RATE_Hz, ShownScene, Wanted
+from palmfield.studies.view.run import GPU_RATE_Hz, RATE_Hz, SceneSource, ShownScene
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / "mjcf" / "scenes" / "palm_am200.xml"
@@ -96,7 +96,7 @@ def asked(talk: Connection) -> int:
 def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: int, stretch_s: float) -> Measured:
     """Step a scene with the page and without, in turn."""
     sent: list[object] = []
-    live = ShownScene(Wanted(scene, device, None, None), {}, Path("out") / "view", sent.append)
+    live = ShownScene(SceneSource(scene, device, None, None), {}, Path("out") / "view", sent.append)
     on = live.sim.runtime.spec.device
     rate = rate_Hz or (RATE_Hz if on == "cpu" else GPU_RATE_Hz)
     live.take(Pace(math.inf))

@@ -10,6 +10,6 @@ def test_a_section_is_replaced_and_others_stay(tmp_path):
         write(Measured("a.xml", device, rate, [shown], [alone]), "command", page)
     write(Measured("b.xml", "cpu", 7.0, [shown], [alone]), "command", page)
     text = page.read_text()
-    assert text.count("## a.xml on the CPU") == text.count("## b.xml on the CPU") == text.count("# Bench") == 1
-    assert "for 12 pictures" in text and "for 15 pictures" not in text
+    assert text.count("## a.xml on the CPU") == text.count("## b.xml on the CPU") == text.count("# Speed") == 1
+    assert "12 pictures a second" in text and "15 pictures a second" not in text
     assert "+5.0%" in text and "+3.0%" in text
