@@ -82,7 +82,8 @@ def error_estimate(
         sinc^2.
     reduction: for a reduced model its own estimate or, if it is valid for any time course of the load and the value is
         larger, the difference from the static and harmonic response of the full wedge model on the mesh of the scene.
-        For modes the same, and the share of the loads outside their class; else 0.
+        For modes the same, and the share of the loads outside their class; else 0. Without `thorough`, the reduced
+        model of a predicted load also serves as the full model, and only its own estimate counts.
     material_band_low, _high: factors of the displacement with all material ranges at their stiff and at their soft
         ends; missing if no range is known.
     edge: half the change of the static or harmonic response between fixed and free cut faces, the larger, because a
@@ -164,8 +165,7 @@ def _estimate(
     predicted = small is not None and small.any_course and not (small.any_pose or left_small_model)
     if small is not None and predicted and small.error <= TOLERANCE and not finer:
         # The model that stepped this load is as accurate as the one that would be made for it here
-        pressure = own.pressure if small.points is None else own.pressure[small.points]
-        projection = small.projected(pressure, layer.probe(point).operator)
+        projection = small.projected(_at_points(small, own), layer.probe(point).operator)
         own.small = PointModel(projection, small.error, layer.system.supported)
         solve_all([coarse, *rest, *cut])
     else:
@@ -185,18 +185,22 @@ def _estimate(
 def _reduction_error(small: SkinStepper, own: Response) -> float:
     """Return the estimate of a reduced model or its difference from the full wedge model, whichever is larger.
 
-    own: response of the full wedge model on the mesh of the scene.
+    own: response of the full wedge model on the mesh of the scene, or of the reduced model itself: then its estimate.
     """
     if not small.any_course:
         return small.error
     layer, frequency = own.layer, own.layer.demand.main_frequency_Hz
-    pressure, read = own.pressure, layer.probe(own.point).operator
-    pressure = pressure if small.points is None else pressure[small.points]
+    pressure, read = _at_points(small, own), layer.probe(own.point).operator
     expected: dict[float, complex] = {0.0: own.static} if layer.system.supported else {}
     expected[frequency] = own.harmonic
     reduced = [small.harmonic(pressure, f, read)[0] for f in expected]
     references = expected.values()
     return max(small.error, *(abs(a - b) / abs(b) for a, b in zip(reduced, references, strict=True)))
+
+
+def _at_points(small: SkinStepper, own: Response) -> Float:
+    """Return the pressure of a response at the points of a stepper of its layer [Pa], shape (p,)."""
+    return own.pressure if small.points is None else own.pressure[small.points]
 
 
 def _explicit_estimate(
