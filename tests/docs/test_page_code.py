@@ -45,7 +45,7 @@ NOT_RUN = {
     "boards.md": 3,
     "compare.md": 1,
     "experiments.md": 1,
-    "installation.md": 1,
+    "installation.md": 2,
     "plots.md": 1,
     "stock_viewer.md": 1,
     "sweeps.md": 1,
