@@ -15,7 +15,7 @@ from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import has_records, instances
 from palmfield.perception.maps import felt_lines, level_map, lines_in, wanted_s
 from palmfield.perception.observers import OBSERVERS
-from palmfield.stimulus.resolved import ResolvedStimulus
+from palmfield.stimulus.resolved_keys import ResolvedStimulus
 from palmfield.stimulus.schedule import main_frequencies, repeat_rate_Hz, steady_stretch_s, turn_rate_Hz
 from palmfield.types import Float32
 

@@ -11,15 +11,13 @@ TILT_RAD = 5e-4
 """At this tilt, the sound path after two round trips is wrong by 1/70 wavelength 60 mm from the middle of the face."""
 
 
-def wall_distance(spec: SceneSpec, array: Array) -> float | None:
-    """Return the distance from the transducer plane to the disc [m]; None if the array face absorbs sound.
+def wall_distance(spec: SceneSpec, array: Array) -> float:
+    """Return the distance from the transducer plane to the disc [m], for a scene with a rigid array face.
 
     array: transducers of the first array in its own frame.
     Raises SceneError, with the reason and the remedy, for scenes that image sources of the array cannot represent.
     """
-    rigid = next((array for array in spec.arrays if array.config.array_face == "rigid"), None)
-    if rigid is None:
-        return None
+    rigid = next(array for array in spec.arrays if array.config.array_face == "rigid")
     if len(spec.arrays) > 1:
         raise refused(rigid, f"the scene has {len(spec.arrays)} arrays", "one array")
     if len(spec.skins) > 1:

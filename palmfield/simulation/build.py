@@ -23,7 +23,6 @@ from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.locked import Lazy
-from palmfield.simulation.array_face import wall_distance
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, about_stimulus, array_instances
 from palmfield.simulation.small_models.choice import choose_stepper, first_stepper
 from palmfield.simulation.small_models.mode_estimate import corner_Hz
@@ -169,7 +168,11 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
                 raise SceneError(
                     f"all {len(gain)} transducers are dead or have gain 0; needed: at least one active transducer"
                 )
-    wall_m = wall_distance(spec, instances[0].array(spec.arrays[0].placement.sites))
+    wall_m = None
+    if any(array.config.array_face == "rigid" for array in spec.arrays):
+        from palmfield.simulation.array_face import wall_distance  # few arrays send echoes
+
+        wall_m = wall_distance(spec, instances[0].array(spec.arrays[0].placement.sites))
     with naming("plugin 'palmfield.array'"):
         arrays = PhasedArray(instances, [array.placement for array in spec.arrays], spec.device, wall_m)
     check_apart([array.name for array in spec.arrays], arrays)

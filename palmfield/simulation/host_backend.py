@@ -199,7 +199,7 @@ class HostBackend(Backend):
         work, posed = self.works[world], self._posed[world]
         for body, pressed in enumerate(self._pressed):
             skin, arp = self.models[0].first_skins[body], None
-            if work.path_sound.serves:
+            if work.path_sound is not None:
                 arp = work.path_sound.arp(posed, skin, "samples", mean.levels @ mean.units)
             if arp is None and len(mean.weights) > 1:
                 arp = work.radiation.sums(posed, skin, mean.units, mean.levels, "samples")
@@ -491,7 +491,7 @@ class HostBackend(Backend):
         role: Role = "quadrature" if stepper.points is None else "load"
         if stepper.points is not None:
             work.radiation.choose(skin, stepper.points)
-        if path.serves and len(course.units) > 1:
+        if path is not None and len(course.units) > 1:
             on_path = path.arp(posed, skin, role, rows(course))
             path.off = 0 if on_path is not None else path.off + 1
             if on_path is not None:

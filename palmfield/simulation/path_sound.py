@@ -7,7 +7,7 @@ from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import SERIAL, PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.skin_sound import Role
-from palmfield.simulation.small_models.known_load import one_shape, path_drives
+from palmfield.simulation.small_models.known_load import path_drives
 from palmfield.types import Complex, Float32
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class PathSound:
     """Computes ARP on the skins of a model and on their bodies. It belongs to one state and to one thread at a time.
 
-    serves: whether the model has such a path; off: number of consecutive courses off the path
+    off: number of consecutive courses off the path
     reference: as `reference_scene`: the fields are valid only in this pose
     """
 
@@ -26,7 +26,7 @@ class PathSound:
     ):
         """beside: the PathSound of another world stepped by the same thread; both share results for the same stimuli"""
         self.model, self.radiation, self.reference = model, radiation, reference
-        self.serves, self.off = serves(model), 0
+        self.off = 0
         same = beside is not None and beside.model.spec.stimuli == model.spec.stimuli
         self._fields: Kept = beside._fields if beside is not None and same else Kept()
         self._arp = Kept()  # with buffers of its own
@@ -38,11 +38,8 @@ class PathSound:
 
     def holds(self, posed: PosedScene) -> bool:
         """Return whether arrays and bodies are in the reference pose."""
-        return (
-            self.serves
-            and posed.arrays.serial == self.model.arrays.serial
-            and list(map(SERIAL, posed.bodies)) == list(map(SERIAL, self.reference.bodies))
-        )
+        still = posed.arrays.serial == self.model.arrays.serial
+        return still and list(map(SERIAL, posed.bodies)) == list(map(SERIAL, self.reference.bodies))
 
     def arp(self, posed: PosedScene, skin: int, role: Role, drives: Complex) -> Float32 | None:
         """Return the ARP [Pa] of drives (m, N) at the points of a skin for a role, shape (m, n).
@@ -70,12 +67,3 @@ class PathSound:
         if basis is None or len(points) == 0:
             return None
         return spanned_fields(model.arrays.field, points, normals, basis, model.skins[skin].spec.arp_law)
-
-
-def serves(model: HapticModel) -> bool:
-    """Return whether one stimulus moves along a predicted path, past bodies that are expected to stay at rest."""
-    reduced = not all(skin.choice.solver.any_pose for skin in model.skins)
-    if not reduced or one_shape(model.stimuli[model.sounding]):
-        return False
-    free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
-    return free and model.arrays.field.device == "cpu"

@@ -28,7 +28,6 @@ from palmfield.device import resolve
 from palmfield.errors import PalmfieldError, SceneError, did_you_mean, naming
 from palmfield.hand.preset import load_preset
 from palmfield.mujoco_host.mujoco_view import ModelView
-from palmfield.simulation.array_face import refused
 from palmfield.simulation.spec import ArraySpec, ObstacleSpec, SceneSpec, SkinSpec, StimulusSpec, Triple
 from palmfield.skin.materials.catalogue import preset
 from palmfield.transforms import IDENTITY, Placement, Transform, relative
@@ -285,6 +284,8 @@ def _check_still(
         board = model.ancestors(model.site_body(site))
         apart = [body for skin in skins for body in model.ancestors(skin.body) ^ board]
         if scripted or any(map(model.can_move, apart)):
+            from palmfield.simulation.array_face import refused
+
             raise refused(array, "the body can move relative to the array", "a body without joints, mocap and motion")
 
 

@@ -14,7 +14,6 @@ from palmfield.device import available_bytes
 from palmfield.drive.board import Board, check
 from palmfield.drive.boards import boards_for
 from palmfield.errors import DeviceError, SceneError
-from palmfield.simulation.array_face import TILT_RAD
 from palmfield.simulation.model import SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.spec import ArraySpec, SceneSpec, SkinSpec, StimulusSpec
@@ -309,6 +308,8 @@ def check_clear(posed: PosedScene) -> None:
 
 
 def _check_echo(posed: PosedScene, wall_m: float) -> None:
+    from palmfield.simulation.array_face import TILT_RAD
+
     height = float(posed.bodies[0].frame.position[2]) - posed.arrays.boards[0].height
     tilt = math.acos(max(-1.0, min(1.0, -float(posed.bodies[0].frame.rotation[2, 2]))))
     if abs(height - wall_m) > STILL_ECHO_M or tilt > TILT_RAD:

@@ -1,17 +1,21 @@
 """Working data of the steps of one world: emission, fields, and what is watched."""
 
 from copy import copy
+from typing import TYPE_CHECKING
 
 from scipy import sparse
 
 from palmfield.simulation.emission import Emission, looks_ahead
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.small_models.known_load import has_path
 from palmfield.simulation.small_models.leaving import OutsideClass
 from palmfield.skin.stepper import Reader, SkinStepper
 from palmfield.types import Float
+
+if TYPE_CHECKING:  # imported at use: few scenes have such a path
+    from palmfield.simulation.path_sound import PathSound
 
 MOST_OFF_PATH = 8
 """Number of consecutive courses off a path (as during ring-up) after which its stored fields are no longer used."""
@@ -20,6 +24,7 @@ MOST_OFF_PATH = 8
 class Workspace:
     """Working data of the steps of one world: emission, radiation, and what is watched.
 
+    path_sound: sound along a predicted path, None without one.
     outside: for each skin, the part of its load outside the class of its modes.
     observe: the operator (m, unknowns) of each skin that gives the watched values, or None.
     in_coordinates: whether steps return coordinates of these values, see `coordinates`.
@@ -31,9 +36,9 @@ class Workspace:
         self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
         self.emission = Emission(model)
         self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
-        self.path_sound: PathSound = PathSound(
-            model, self.radiation, self.reference, None if beside is None else beside.path_sound
-        )
+        self.path_sound: PathSound | None = None
+        if has_path(model):
+            self.path_sound = self._on_path(None if beside is None else beside.path_sound)
         self.outside = [OutsideClass() for _ in model.skins]
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self.in_coordinates = False
@@ -42,9 +47,15 @@ class Workspace:
         self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader, tuple[Reader, Float] | None]]
         self._readers = {} if beside is None else beside._readers
 
+    def _on_path(self, beside: "PathSound | None") -> "PathSound":
+        from palmfield.simulation.path_sound import PathSound
+
+        return PathSound(self.model, self.radiation, self.reference, beside)
+
     def begin_run(self) -> None:
         """Drop the data of the previous run."""
-        self.path_sound.off = 0
+        if self.path_sound is not None:
+            self.path_sound.off = 0
         self.outside = [OutsideClass() for _ in self.outside]
 
     def adopt(self, other: "Workspace") -> None:
@@ -52,13 +63,14 @@ class Workspace:
         self.reference = other.reference
         self.emission.adopt(other.emission)
         self.radiation.continue_from(other.radiation)
-        self.path_sound.adopt(other.path_sound)
+        if self.path_sound is not None and other.path_sound is not None:
+            self.path_sound.adopt(other.path_sound)
         self.outside = list(map(copy, other.outside))
 
     def look_ahead(self, posed: PosedScene) -> None:
         """Switch look-ahead of the emission on if it saves time, which is not so on a path with predicted sound."""
         path = self.path_sound
-        on_path = path.serves and path.off < MOST_OFF_PATH and path.holds(posed)
+        on_path = path is not None and path.off < MOST_OFF_PATH and path.holds(posed)
         self.emission.ahead = self._may_look_ahead and not on_path
 
     def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:

@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from palmfield.stimulus.focus_table import FocusTable
 from palmfield.transforms import Transform
 from palmfield.types import Float, Int
 
-if TYPE_CHECKING:  # not imported at run time, because most stimuli have no path on a surface
+if TYPE_CHECKING:  # not imported at run time, because most stimuli have no path on a surface and no file
+    from palmfield.stimulus.focus_table import FocusTable
     from palmfield.stimulus.surface_path import SurfacePath
 
 NO_OFFSETS: Float = np.zeros((0, 3))
@@ -45,7 +45,7 @@ class FocalPoints(NamedTuple):
     frame: Transform
     offsets: Float = NO_OFFSETS
     on_surface: SurfaceCourse | None = None
-    table: FocusTable | None = None
+    table: "FocusTable | None" = None
     arp: tuple[float, ...] = ()
 
     def at(self, point: Float) -> Float:

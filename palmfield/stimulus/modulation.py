@@ -15,7 +15,6 @@ import scipy  # which loads its parts when they are used
 from palmfield.config import StimulusConfig
 from palmfield.errors import SceneError
 from palmfield.stimulus.duty_law import duty_cycle, relative_pressure
-from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.stimulus.waveform import Samples, Waveform, period_s, samples, waveform_of
 from palmfield.types import Float
 
@@ -82,7 +81,7 @@ def modulation_of(config: StimulusConfig) -> Modulation | None:
     assert config.am_quantity is not None and config.am_depth is not None
     form, exponent, duty = waveform_of(config), 2.0, FULL_DUTY
     if config.am_quantity == "duty":
-        exponent = config.duty_exponent if isinstance(config, ResolvedStimulus) else exponent
+        exponent = getattr(config, "duty_exponent", exponent)
         duty = _peak_duty(config, form, exponent)
     return Modulation(config.am_quantity, POWERS[config.am_quantity], form, config.am_depth, duty, exponent)
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from palmfield.config import StimulusConfig
-from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.modulation import (
     COURSE_POWER,
     HARMONIC,
@@ -22,13 +21,13 @@ from palmfield.stimulus.modulation import (
     arp_of_pulses,
     modulation_of,
 )
-from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.stimulus.waveform import period_s as am_period_s
 from palmfield.stimulus.waveform import wave
 from palmfield.types import Float
 
 if TYPE_CHECKING:
     from palmfield.stimulus.curves import PlanePath
+    from palmfield.stimulus.focus_table import FocusTable
 
 SPOT_M = 0.0103
 """Width of a typical focus, for the frequencies that a moving focus excites."""
@@ -104,9 +103,9 @@ def _required(value: float | None) -> float:
     return value
 
 
-def table_of(config: StimulusConfig) -> FocusTable | None:
+def table_of(config: StimulusConfig) -> "FocusTable | None":
     """Return the table of a path from a file, None for all others."""
-    return config.focus_table if config.path == "file" and isinstance(config, ResolvedStimulus) else None
+    return getattr(config, "focus_table", None) if config.path == "file" else None
 
 
 def _end(config: StimulusConfig) -> str:
@@ -118,8 +117,9 @@ def length_m(config: StimulusConfig) -> float:
     """Return the length of the path [m], one way if it is open; 0 for a point."""
     if (table := table_of(config)) is not None:
         return table.moved_m
-    if isinstance(config, ResolvedStimulus) and config.sites_length_m is not None:
-        return config.sites_length_m
+    sites_length_m: float | None = getattr(config, "sites_length_m", None)
+    if sites_length_m is not None:
+        return sites_length_m
     path = plane_path(config)
     return 0.0 if path is None else path.length_m
 
@@ -493,7 +493,7 @@ class _Timing:
     jump_rate: float
     smooth: bool
     steady: bool
-    table: FocusTable | None
+    table: "FocusTable | None"
     duty_exponent: float
 
 
@@ -531,7 +531,7 @@ def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
         and config.path not in ("letters", "file")
         and config.control_rate_Hz == 0.0,
         table=table,
-        duty_exponent=config.duty_exponent if isinstance(config, ResolvedStimulus) else 2.0,
+        duty_exponent=getattr(config, "duty_exponent", 2.0),
     )
     if len(_timings) >= KEPT:
         _timings.clear()
@@ -554,7 +554,7 @@ def _floor(times: Float, rate: float, first: float) -> Float:
     return first + np.floor((times - first + 1e-9) * rate) / rate
 
 
-def _since_table(timing: _Timing, table: FocusTable, times: Float) -> Float:
+def _since_table(timing: _Timing, table: "FocusTable", times: Float) -> Float:
     """Return times since the start of the table [s], 0 to its length, shape (n,)."""
     since = np.maximum(times - timing.start_s, 0.0)
     if timing.runs == "round":
@@ -648,7 +648,7 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
 
 
 @lru_cache(maxsize=KEPT)
-def _table_frequencies(table: FocusTable) -> list[float]:
+def _table_frequencies(table: "FocusTable") -> list[float]:
     """Return the strongest line of the load on the paths of a table's foci, and the frequency with most power below.
 
     The load of a point is that of passing spots of SPOT_M with their present level [Hz]. The result is () for fixed

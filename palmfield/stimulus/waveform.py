@@ -2,15 +2,16 @@
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy  # which loads its parts when they are used
 
 from palmfield.config import StimulusConfig
-from palmfield.stimulus.am_table import AmTable
-from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.types import Float
+
+if TYPE_CHECKING:
+    from palmfield.stimulus.am_table import AmTable
 
 EDGE_S = 1e-9
 """A jump less than this ahead is treated as passed, so that t = k / rate is in period k with any rounding."""
@@ -28,7 +29,7 @@ class Waveform(NamedTuple):
     """
 
     name: str
-    table: AmTable | None
+    table: "AmTable | None"
     frequency_Hz: float | Float
     highest: float | Float
     duty: float | Float
@@ -50,7 +51,7 @@ class Samples(NamedTuple):
 
 def waveform_of(config: StimulusConfig) -> Waveform:
     """Return the waveform of a modulated stimulus; a waveform from a file needs a ResolvedStimulus."""
-    table = config.am_table if isinstance(config, ResolvedStimulus) else None
+    table: AmTable | None = getattr(config, "am_table", None)
     frequency = config.am_frequency_Hz or 1.0
     length, period = config.am_burst_length_s or 1.0, config.am_burst_period_s or 1.0
     highest, phase = 1.0, 0.0

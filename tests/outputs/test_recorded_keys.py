@@ -6,7 +6,7 @@ import xarray as xr
 from palmfield.config.stimulus import StimulusConfig
 from palmfield.errors import OutputError
 from palmfield.outputs.recorded_keys import keys_of
-from palmfield.stimulus.resolved import ResolvedStimulus
+from palmfield.stimulus.resolved_keys import ResolvedStimulus
 
 
 @pytest.mark.parametrize("added", [{}, {"sites_length_m": 0.12}, {"duty_exponent": 1.5}])

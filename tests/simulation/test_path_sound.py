@@ -6,7 +6,7 @@ import pytest
 import palmfield
 from palmfield.acoustics import spanned_arp
 from palmfield.session.simulation import load
-from palmfield.simulation import path_sound
+from palmfield.simulation import workspace
 
 CIRCLE = {
     "modulation": "none",
@@ -47,11 +47,11 @@ def test_a_path_on_a_still_body_gives_what_each_field_by_itself_does(small_scene
     (force, motion), sim = ran(path)
     sound = sim.runtime.work.path_sound
     fields = fields_of(sound)
-    assert sound.serves and None not in fields.values()
+    assert None not in fields.values()
     assert {role for _, role, _ in fields} == {"samples", "load"}
-    monkeypatch.setattr(path_sound, "serves", lambda model: False)
+    monkeypatch.setattr(workspace, "has_path", lambda model: False)
     (plain_force, plain_motion), plain = ran(path)
-    assert not fields_of(plain.runtime.work.path_sound)
+    assert plain.runtime.work.path_sound is None
     assert plain.skin().solver == sim.skin().solver == "reduced"
     assert largest(force, plain_force) < 1e-5 and largest(motion, plain_motion) < 1e-5
 
@@ -64,9 +64,9 @@ def test_a_body_that_moves_leaves_it(small_scene, monkeypatch):
         sim.data.qvel[:] = 0.5
 
     (force, motion), sim = ran(path, before=push)
-    assert sim.runtime.work.path_sound.serves and sim.skin().solver == "wedges"
+    assert sim.runtime.work.path_sound is not None and sim.skin().solver == "wedges"
     assert not sim.runtime.work.path_sound.holds(sim.runtime.posed)
-    monkeypatch.setattr(path_sound, "serves", lambda model: False)
+    monkeypatch.setattr(workspace, "has_path", lambda model: False)
     (plain_force, plain_motion), _ = ran(path, before=push)
     np.testing.assert_allclose(force, plain_force, rtol=1e-4, atol=1e-6 * np.abs(plain_force).max())
     assert largest(motion, plain_motion) < 1e-5
@@ -104,7 +104,7 @@ def test_loads_are_computed_ahead_where_a_path_has_no_small_span(small_scene, mo
     monkeypatch.setattr(spanned_arp, "drives_span", lambda drives: None)
     sim = load(small_scene(stimulus=CIRCLE, skin=SKIN))
     sim.step(STEPS)
-    assert sim.runtime.work.path_sound.serves
+    assert sim.runtime.work.path_sound is not None
     assert "batch" in [name for name, *_ in sim.runtime.work.radiation.kept._last]
 
 
@@ -119,4 +119,4 @@ def test_loads_are_computed_ahead_where_a_path_has_no_small_span(small_scene, mo
 )
 def test_where_it_is_not_for(small_scene, changes):
     sim = load(small_scene(**changes))
-    assert not sim.runtime.work.path_sound.serves
+    assert sim.runtime.work.path_sound is None

@@ -9,9 +9,9 @@ import pytest
 from scipy import sparse
 
 from palmfield.errors import PalmfieldError
-from palmfield.skin.fem import factor as seam
-from palmfield.skin.fem.factor import Factor, factorise
-from palmfield.skin.fem.pardiso import SWITCH, PardisoFactor, library
+from palmfield.skin.fem import pardiso
+from palmfield.skin.fem.factor import SWITCH, Factor, factorise
+from palmfield.skin.fem.pardiso import PardisoFactor, library
 
 installed = pytest.mark.skipif(library() is None, reason="the extra 'mkl' is not installed")
 
@@ -94,7 +94,7 @@ def test_a_switch_that_is_neither_is_refused(stiff, monkeypatch):
 
 
 def test_superlu_serves_where_it_is_not_installed(stiff, monkeypatch):
-    monkeypatch.setattr(seam, "library", lambda: None)
+    monkeypatch.setattr(pardiso, "library", lambda: None)
     factor = factorise(stiff)
     assert isinstance(factor, Factor)
     assert np.abs(stiff @ factor.solve(np.ones(400)) - 1.0).max() < 1e-12

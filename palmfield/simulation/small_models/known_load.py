@@ -119,6 +119,15 @@ def one_shape(stimulus: StimulusModel) -> bool:
     return stimulus.config.path == "point" and alike
 
 
+def has_path(model: HapticModel) -> bool:
+    """Return whether one stimulus moves along a predicted path, past bodies that are expected to stay at rest."""
+    reduced = not all(skin.choice.solver.any_pose for skin in model.skins)
+    if not reduced or one_shape(model.stimuli[model.sounding]):
+        return False
+    free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
+    return free and model.arrays.field.device == "cpu"
+
+
 def period_s(config: StimulusConfig) -> float | None:
     """Return the period of focus and level together [s]; None if it is longer than MOST_TURNS turns."""
     path = turn_rate_Hz(config)

@@ -1,18 +1,26 @@
 """factorise(matrix).solve(right): the only module that chooses the library that factorises the matrices of a skin."""
 
 import contextlib
+import importlib.util
+import os
 import threading
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from scipy.sparse.linalg import SuperLU, splu
 
 from palmfield.blas import one_blas_thread
+from palmfield.errors import PalmfieldError
 from palmfield.phases import phase
 from palmfield.skin.fem.cholesky import Cholesky
-from palmfield.skin.fem.complex_factor import ComplexFactor
-from palmfield.skin.fem.pardiso import PardisoFactor, library, switched_on
 from palmfield.types import Int
+
+if TYPE_CHECKING:  # imported at use: most matrices are real, and PARDISO is an extra
+    from palmfield.skin.fem.complex_factor import ComplexFactor
+    from palmfield.skin.fem.pardiso import PardisoFactor
+
+SWITCH = "PALMFIELD_PARDISO"
+OFF = ("off", "0", "none")
 
 
 class Factor:
@@ -52,7 +60,7 @@ class Factor:
         return complex if right.dtype.kind == "c" or self._diagonal.dtype.kind == "c" else float
 
 
-AnyFactor: TypeAlias = Factor | Cholesky | ComplexFactor | PardisoFactor
+AnyFactor: TypeAlias = "Factor | Cholesky | ComplexFactor | PardisoFactor"
 
 
 @phase("factors")
@@ -64,13 +72,31 @@ def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
     is given; SuperLU without one, and for what these can't take.
     Raises RuntimeError where a pivot is exactly 0.
     """
-    if matrix.dtype.kind != "c" and switched_on() and library() is not None:
-        with contextlib.suppress(RuntimeError):
-            return PardisoFactor(matrix)
+    lossy = matrix.dtype.kind == "c"
+    if not lossy and switched_on() and importlib.util.find_spec("pypardiso") is not None:
+        from palmfield.skin.fem.pardiso import PardisoFactor, library
+
+        if library() is not None:
+            with contextlib.suppress(RuntimeError):
+                return PardisoFactor(matrix)
     if order is not None:
         with contextlib.suppress(RuntimeError):
-            return ComplexFactor(matrix, order) if matrix.dtype.kind == "c" else Cholesky(matrix, order)
+            return _of_blocks(matrix, order) if lossy else Cholesky(matrix, order)
     return superlu(matrix, order)
+
+
+def switched_on() -> bool:
+    """Whether PARDISO may be used. Raises PalmfieldError for a PALMFIELD_PARDISO that is neither on nor off."""
+    named = os.environ.get(SWITCH, "on").strip().lower()
+    if named not in (*OFF, "on", "1", ""):
+        raise PalmfieldError(f"environment variable {SWITCH} is '{named}'; allowed: on, or {', '.join(OFF)}")
+    return named not in OFF
+
+
+def _of_blocks(matrix: Any, order: Int) -> "ComplexFactor":
+    from palmfield.skin.fem.complex_factor import ComplexFactor
+
+    return ComplexFactor(matrix, order)
 
 
 def superlu(matrix: Any, order: Int | None = None) -> Factor:

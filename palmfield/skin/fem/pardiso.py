@@ -14,21 +14,10 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from palmfield.errors import PalmfieldError
 from palmfield.types import Float
 
-SWITCH = "PALMFIELD_PARDISO"
-OFF = ("off", "0", "none")
 POSITIVE_DEFINITE = 2
 """PARDISO's number of the kind of matrix; it reads the upper triangle."""
-
-
-def switched_on() -> bool:
-    """Whether PARDISO may be used. Raises PalmfieldError for a PALMFIELD_PARDISO that is neither on nor off."""
-    named = os.environ.get(SWITCH, "on").strip().lower()
-    if named not in (*OFF, "on", "1", ""):
-        raise PalmfieldError(f"environment variable {SWITCH} is '{named}'; allowed: on, or {', '.join(OFF)}")
-    return named not in OFF
 
 
 @functools.cache
@@ -83,7 +72,7 @@ class PardisoFactor:
         if os.getpid() != self._process:
             raise RuntimeError(
                 f"a factor of process {self._process} is used in process {os.getpid()}, which was forked from it; "
-                f"factorise again there, or set {SWITCH}=off"
+                "factorise again there, or set PALMFIELD_PARDISO=off"
             )
         if right.dtype.kind == "c":
             return self.solve(right.real) + 1j * self.solve(right.imag)

@@ -2,10 +2,10 @@ from .course import Course as Course
 from .course import periodic as periodic
 from .dynamic_stiffness import DynamicStiffness as DynamicStiffness
 from .krylov import Krylov as Krylov
+from .krylov import TooManyVectorsError as TooManyVectorsError
+from .krylov import grow_until as grow_until
 from .reduced import Projection as Projection
 from .reduced import Reduced as Reduced
 from .reduced_stepper import KnownLoad as KnownLoad
 from .reduced_stepper import ReducedStepper as ReducedStepper
-from .reducer import TooManyVectorsError as TooManyVectorsError
-from .reducer import grow_until as grow_until
 from .reducer import reduce as reduce

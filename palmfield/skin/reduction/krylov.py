@@ -14,14 +14,19 @@ solutions on the whole line up to i w converge together, in real arithmetic.
 A load with a known course needs no basis for every course. If it is F w with w' = S w from w(0) = w_0, skin and load
 together move on one line: the space begins with w_0 alone, and w' = (sigma - S)^-1 w is added to the rest. A focus on
 a circle takes some tens of vectors in this way, and hundreds otherwise.
+
+A space is grown until motion stops changing (`grow_until`): that under a predicted load (reduced_stepper and
+solvers.reduced), or the transfer functions over a band (`palmfield.skin.reduction.reducer.reduce`).
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy import sparse
 
+from palmfield.errors import SceneError
 from palmfield.skin.reduction.course import Course
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.threads import cores, share
@@ -32,6 +37,14 @@ ROOM = 64
 PARALLEL = 1e-13
 SMALLEST = 1e-10
 """If the new part of a vector is smaller than this share, it is round-off."""
+SHIFT = 0.6
+"""Share of the highest relevant angular frequency: with it solutions from 0 to that frequency converge together."""
+ROUND = 8
+"""Vectors by which two models that are compared differ, at least."""
+SAFETY = 1.5
+"""Times the last change: with a circle on the palm, on large elements, the true error was up to 1.3 times that."""
+
+T = TypeVar("T")
 
 
 class Krylov:
@@ -170,6 +183,55 @@ class Krylov:
         self._projected = np.concatenate([self._projected, result], axis=2)
         self._projected_load = np.concatenate([self._projected_load, self._load], axis=1)
         self._block = result / self._scales[:, None, None]
+
+
+class TooManyVectorsError(SceneError):
+    """A tolerance that a model of the largest allowed size does not reach. reached: the trial of that model"""
+
+    def __init__(self, message: str, reached: object = None) -> None:
+        super().__init__(message)
+        self.reached = reached
+
+
+def grown(krylov: Krylov, vectors: int) -> bool:
+    """Grow a space by this number of vectors or more; False where it has ended."""
+    target, growing = krylov.order + vectors, True
+    while growing and krylov.order < target:
+        growing = krylov.grow() > 0
+    return growing
+
+
+def grow_until(
+    krylov: Krylov,
+    trial: Callable[[], T],
+    change: Callable[[T, T], float],
+    tolerance: float,
+    most_vectors: int,
+    residual: Callable[[], float] | None = None,
+) -> tuple[T, float]:
+    """Grow a Krylov space until models of two sizes agree; return the last trial and its estimated relative error.
+
+    trial: the result of the model of the present size. change: (trial, that of fewer vectors) -> relative difference.
+    residual: another estimate, computed once the first is small enough; the larger of the two counts.
+    The error is SAFETY times the change by the last ROUND vectors or more. It is above the tolerance only where the
+    space ended. Raises TooManyVectorsError if most_vectors don't reach the tolerance.
+    """
+    before = trial()
+    while True:
+        growing = grown(krylov, max(ROUND, krylov.order // 6))
+        now = trial()
+        error = SAFETY * change(now, before)
+        if error <= tolerance and residual is not None:
+            error = max(error, residual())
+        if error <= tolerance or not growing:
+            return now, error
+        if krylov.order > most_vectors:
+            raise TooManyVectorsError(
+                f"reduced model of the skin: error {error:.2g} with {krylov.order} vectors, target "
+                f"{tolerance:.2g}; use solver 'wedges'",
+                now,
+            )
+        before = now
 
 
 def _halves(count: int) -> list[slice]:

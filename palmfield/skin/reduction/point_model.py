@@ -20,9 +20,9 @@ from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.fem.solver import discrete_weights
 from palmfield.skin.projection import Projection
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
-from palmfield.skin.reduction.krylov import Krylov
+from palmfield.skin.reduction.krylov import SAFETY, SHIFT, Krylov, TooManyVectorsError, grow_until
 from palmfield.skin.reduction.reduced import Reduced
-from palmfield.skin.reduction.reducer import SAFETY, SHIFT, WEAK, TooManyVectorsError, grow_until
+from palmfield.skin.reduction.reducer import WEAK
 from palmfield.types import Complex, Float
 
 WINDOW_S = 0.05

@@ -1,7 +1,7 @@
 """Reduced model of a viscoelastic body, exact in time for loads that are linear between times.
 
 Full body: M u'' + C u' + E u + sum_p K_p (u + sum_i g_i (u - q_i) + t u') = B f, q_i' = (u - q_i) / tau_i, y = Y u.
-Its matrices are projected on both sides with a real V (palmfield.skin.reduction.reducer) and stay symmetric and
+Its matrices are projected on both sides with a real V (palmfield.skin.reduction.krylov) and stay symmetric and
 positive semidefinite, so the reduced body dissipates energy like the full body: it is stable for any V.
 
 Time: coordinates x = (w_k a_k, a', sqrt(g) L_p (a - q)), with w_k^2 the eigenvalues of the relaxed stiffness and

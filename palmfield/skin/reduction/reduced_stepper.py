@@ -312,8 +312,7 @@ def known_model(
     def make() -> cache.Arrays:
         # Imported here, because cached models need none of them
         from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
-        from palmfield.skin.reduction.krylov import Krylov
-        from palmfield.skin.reduction.reducer import SHIFT, grow_until
+        from palmfield.skin.reduction.krylov import SHIFT, Krylov, grow_until
 
         load = ask_load()
         # Only small products, which several BLAS threads slow down when other programs run.

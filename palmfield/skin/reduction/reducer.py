@@ -1,12 +1,6 @@
-"""The vectors on which a body is reduced: a Krylov space grown until its motion stops changing.
+"""Reduced model of a body between inputs and outputs, whose transfer functions are right over a band."""
 
-The body moves under real shapes of its load; `palmfield.skin.reduction.krylov` takes one real factorisation for the
-whole space. Two criteria decide that it is large enough: the motion under a predicted load (reduced_stepper and
-solvers.reduced), or the transfer functions over a band (`reduce`, here).
-"""
-
-from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -15,69 +9,12 @@ from palmfield.errors import SceneError
 from palmfield.skin.fem.linear_body import LinearBody
 from palmfield.skin.projection import Projection
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
-from palmfield.skin.reduction.krylov import Krylov
+from palmfield.skin.reduction.krylov import ROUND, SHIFT, Krylov, grow_until, grown
 from palmfield.skin.reduction.reduced import Reduced
 from palmfield.types import Complex, Int
 
-SHIFT = 0.6
-"""Share of the highest relevant angular frequency: with it solutions from 0 to that frequency converge together."""
-ROUND = 8
-"""Vectors by which two models that are compared differ, at least."""
-SAFETY = 1.5
-"""Times the last change: with a circle on the palm, on large elements, the true error was up to 1.3 times that."""
 WEAK = 0.1
 """Share of the largest response to which the error of weaker ones is related."""
-
-T = TypeVar("T")
-
-
-class TooManyVectorsError(SceneError):
-    """A tolerance that a model of the largest allowed size does not reach. reached: the trial of that model"""
-
-    def __init__(self, message: str, reached: object = None) -> None:
-        super().__init__(message)
-        self.reached = reached
-
-
-def grown(krylov: Krylov, vectors: int) -> bool:
-    """Grow a space by this number of vectors or more; False where it has ended."""
-    target, growing = krylov.order + vectors, True
-    while growing and krylov.order < target:
-        growing = krylov.grow() > 0
-    return growing
-
-
-def grow_until(
-    krylov: Krylov,
-    trial: Callable[[], T],
-    change: Callable[[T, T], float],
-    tolerance: float,
-    most_vectors: int,
-    residual: Callable[[], float] | None = None,
-) -> tuple[T, float]:
-    """Grow a Krylov space until models of two sizes agree; return the last trial and its estimated relative error.
-
-    trial: the result of the model of the present size. change: (trial, that of fewer vectors) -> relative difference.
-    residual: another estimate, computed once the first is small enough; the larger of the two counts.
-    The error is SAFETY times the change by the last ROUND vectors or more. It is above the tolerance only where the
-    space ended. Raises TooManyVectorsError if most_vectors don't reach the tolerance.
-    """
-    before = trial()
-    while True:
-        growing = grown(krylov, max(ROUND, krylov.order // 6))
-        now = trial()
-        error = SAFETY * change(now, before)
-        if error <= tolerance and residual is not None:
-            error = max(error, residual())
-        if error <= tolerance or not growing:
-            return now, error
-        if krylov.order > most_vectors:
-            raise TooManyVectorsError(
-                f"reduced model of the skin: error {error:.2g} with {krylov.order} vectors, target "
-                f"{tolerance:.2g}; use solver 'wedges'",
-                now,
-            )
-        before = now
 
 
 def reduce(

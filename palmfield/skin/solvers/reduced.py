@@ -26,9 +26,8 @@ from palmfield.skin.fem.traction import bell, sampled
 from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Traction, between, normals_on_face
 from palmfield.skin.projection import Projection
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
-from palmfield.skin.reduction.krylov import Krylov
+from palmfield.skin.reduction.krylov import SAFETY, SHIFT, Krylov, TooManyVectorsError, grow_until
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.reduction.reducer import SAFETY, SHIFT, TooManyVectorsError, grow_until
 from palmfield.skin.solvers.wedges import first_sizes, last_dofs, on_mesh, refusal_wedges, slowest_wave
 from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int

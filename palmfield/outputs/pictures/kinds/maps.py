@@ -28,7 +28,7 @@ from palmfield.outputs.skin_view import SkinView, draw_patch, view_of_skin
 from palmfield.outputs.style import signed_colours
 from palmfield.perception.maps import felt_lines, level_map
 from palmfield.perception.observers import OBSERVERS
-from palmfield.stimulus.resolved import ResolvedStimulus
+from palmfield.stimulus.resolved_keys import ResolvedStimulus
 from palmfield.stimulus.schedule import steady_stretch_s
 from palmfield.types import Float
 
