@@ -48,6 +48,8 @@ T = TypeVar("T")
 ONE: Float = np.ones((1, 1, 1))
 Loaded = list[tuple[SkinStepper, Rows, SurfaceLoads]]
 """Steppers of a skin with the numbers of their worlds (w,) and the loads there."""
+TOGETHER = 16
+"""Largest number of steps in one pose that are computed together. More steps do not reduce the cost of each."""
 KEPT = 64
 """Number of cached assignments of worlds to steppers."""
 
@@ -81,6 +83,7 @@ class HostBackend(Backend):
         able = [self.moves_smoothly or all(skin.settles for skin in model.skins) for model in models]
         self.smooth = SmoothSound(models, [work.emission for work in works], state, able, alone)
         self._several, self._device = worlds > 1, resolve(first.spec.device)
+        self._after: Float = first.step_s * np.arange(1, TOGETHER * first.substeps + 1, dtype=np.float64)
         self._states = [state.world(world) for world in range(worlds)] if worlds > 1 else [state]
         ways: tuple[Callable[..., Any], ...] = call, self._named
         self._in = ways[self._several]
@@ -102,8 +105,8 @@ class HostBackend(Backend):
         self._own = Kept(worlds)
         # Last pose in which the reduced model was valid, by skin and world
         self._served: Serials = np.zeros((len(first.skins), worlds), np.int64)
-        # Whether the first stepper of a skin is valid for any pose and course
-        self._anywhere = [False] * len(first.skins)
+        # Whether the first stepper of a skin is valid for any pose and course; None before anything has moved
+        self._anywhere: list[bool | None] = [None] * len(first.skins)
         self._shared_out: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
 
     def forget(self) -> None:
@@ -306,7 +309,7 @@ class HostBackend(Backend):
             keys[:, 1] *= np.logical_or.reduce(factors, axis=1)
             begun = smooth.now[worlds]
             trace = StepTrace(
-                self._ends(t0, model.substeps),
+                t0 + self._after[: model.substeps],
                 worlds,
                 tuple(map(self._posed.__getitem__, worlds.tolist())),
                 keys,
@@ -328,16 +331,12 @@ class HostBackend(Backend):
         moments, course = self._course(world, begun, t0, count)
         if skins:
             first, last = course.weights(moments)
-            keys, times = np.array([[posed.serial, course.serial]]), self._ends(t0, count)
+            keys, times = np.array([[posed.serial, course.serial]]), t0 + self._after[:count]
             emission = moments, course.levels[None], lambda _: course, lambda _: begun
             trace = StepTrace(times, np.array([world]), (posed,), keys, *emission, first[None], last[None])
             self._step_all(trace, t0, t1)
         if model.response_on:
             state.set_emission(slice(None), course.end[None])
-
-    def _ends(self, t0: float, count: int) -> Float:
-        """Return the ends of substeps from t0 [s] on."""
-        return t0 + self.models[0].step_s * np.arange(1, count + 1, dtype=np.float64)
 
     def _course(self, world: int, begun: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
         """Return the emission of a world that is stepped separately; begun: emission at t0 [s], shape (N,)."""
@@ -367,8 +366,9 @@ class HostBackend(Backend):
         moved = (served[worlds] != self._poses[worlds]) & (self.state.skins[skin][worlds, 0] != WHOLE)
         if not np.logical_or.reduce(moved):
             return
-        steppers = [model.begin[skin].value for model in self.models]
-        self._anywhere[skin] = all(one.any_pose and one.any_course for one in steppers)
+        if self._anywhere[skin] is None:
+            steppers = [model.begin[skin].value for model in self.models]
+            self._anywhere[skin] = all(one.any_pose and one.any_course for one in steppers)
         for i in moved.nonzero()[0].tolist():
             world = int(worlds[i])
             if self._in(self._leaves, world, skin, t0):

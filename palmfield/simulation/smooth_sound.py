@@ -149,7 +149,7 @@ class SmoothSound:
         new = ~_are(emitted, levels, units)
         if np.logical_or.reduce(new):
             products, powers = np.add.reduce(units.conj() * emitted, axis=1), self._powers[unknown]
-            found = np.divide(products, powers, out=np.zeros_like(products), where=powers > 0.0)
+            found = np.divide(products, powers, out=np.zeros(len(products), np.complex128), where=powers > 0.0)
             levels = np.where(new, found, levels)
             alike[unknown] = _are(emitted, levels, units)
         self.now[unknown] = levels
@@ -164,7 +164,8 @@ class SmoothSound:
         level = np.abs(self.now)
         emitted = level**2 * (level * self._peaks >= SILENT)
         if not np.logical_and.reduce(self._ringing):
-            emitted = np.where(self._ringing, emitted, self._commanded[:, -1])
+            at_once = ~self._ringing
+            emitted[at_once] = self._commanded[at_once, -1]
         return np.asarray(emitted[self.joined])
 
     def mean_factors(self) -> Float:

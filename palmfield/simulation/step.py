@@ -12,7 +12,7 @@ import numpy as np
 from palmfield.blas import one_blas_thread
 from palmfield.simulation.backend import Backend, Frames, Observer, serves
 from palmfield.simulation.emission import Emission
-from palmfield.simulation.host_backend import HostBackend
+from palmfield.simulation.host_backend import TOGETHER, HostBackend
 from palmfield.simulation.kept import Bool
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
@@ -21,8 +21,6 @@ from palmfield.simulation.state import HEADER, HapticState
 from palmfield.simulation.workspace import Workspace
 from palmfield.types import Complex, Float
 
-TOGETHER = 16
-"""Largest number of steps in one pose that are computed together. More steps do not reduce the cost of each."""
 PARTS, LEAST_WORLDS = 2, 128
 """Largest number of graphs that share the worlds, and number of worlds needed for each additional graph.
 

@@ -11,8 +11,8 @@ from palmfield.data import folder
 from palmfield.engine.host import raise_errors
 from palmfield.session.simulation import Simulation
 
-MOST = 252
-"""Of the scenes 92 to 250; in a graph a step runs 61."""
+MOST = 249
+"""Of the scenes 84 to 249; in a graph a step runs 61."""
 MORE = 70
 """For each further skin or array of a small scene."""
 SECOND_PAD = (

@@ -143,10 +143,19 @@ class ReducedStepper(SkinStepper):
 
     def _leap(self, state: Float, loads: SurfaceLoads) -> None:
         """Compute up to LEAP substeps at once, under constant pressures; the states in between are not needed."""
-        for begin in range(0, loads.first.shape[1], LEAP):
-            own = slice(begin, begin + LEAP)
-            weights = np.stack([loads.first[:, own], loads.last[:, own]], axis=1)
-            self._leap_once(state, weights.reshape(len(state), 1, -1), *self._ways(loads, weights.shape[2]))
+        worlds, substeps, patterns = loads.first.shape
+        for begin in range(0, substeps, LEAP):
+            count = min(LEAP, substeps - begin)
+            weights = np.empty((worlds, 2, count, patterns))
+            weights[:, 0], weights[:, 1] = loads.first[:, begin : begin + count], loads.last[:, begin : begin + count]
+            leap = partial(self._leap_of, state, weights.reshape(worlds, 1, -1), *self._ways(loads, count))
+            with one_blas_thread:
+                if worlds <= BLOCK:
+                    leap(slice(None))
+                    continue
+                # In blocks of one size, so that results do not depend on the number of cores
+                blocks = [slice(first, first + BLOCK) for first in range(0, worlds, BLOCK)]
+                share([(partial(leap, own),) for own in blocks], cores())
 
     def _ways(self, loads: SurfaceLoads, substeps: int) -> tuple[Float, Float]:
         """Return the change of the state by each weight of a number of substeps, shape (w, 2 s, n), and the matrix of
@@ -167,18 +176,12 @@ class ReducedStepper(SkinStepper):
                 known[1][substeps] = ways, power
         return known[1][substeps]
 
-    def _leap_once(self, state: Float, weights: Float, ways: Float, power: Float) -> None:
-        """Compute some substeps at once; weights: of the pressures at their starts and ends, shape (w, 1, 2 s)."""
-
-        def leap(own: slice) -> None:
-            after = state[own] @ power
-            after += weights[own, 0] @ ways[0] if len(ways) == 1 else np.matmul(weights[own], ways[own])[:, 0]
-            state[own] = after
-
-        # In blocks of one size, so that results do not depend on the number of cores
-        blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(state), BLOCK)]
-        with one_blas_thread:
-            share([(partial(leap, own),) for own in blocks], cores())
+    @staticmethod
+    def _leap_of(state: Float, weights: Float, ways: Float, power: Float, own: slice) -> None:
+        """Compute some substeps of some worlds; weights: of pressures at their starts and ends, shape (w, 1, 2 s)."""
+        after = state[own] @ power
+        after += weights[own, 0] @ ways[0] if len(ways) == 1 else np.matmul(weights[own], ways[own])[:, 0]
+        state[own] = after
 
     def _march(self, state: Float, states: Float) -> None:
         """Compute all substeps of some worlds; each overwrites its input by the new state; (w, n) and (w, s, n)."""
