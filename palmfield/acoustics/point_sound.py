@@ -40,6 +40,9 @@ class Transducers:
 
     arrays: in their present pose. device: from `palmfield.device.resolve`.
     order: transducer numbers in the order of the kernels. scale: strength at full drive in that order [Pa m].
+    On the device: places: positions [m] and directions, shapes (count,), four numbers each; corners: of the box of the
+    transducers of each side [m], shape (8 sides,); boards: mean direction of each array and height of its centre along
+    it [m], shape (parts,).
     """
 
     def __init__(self, arrays: PhasedArray, device: str):
@@ -48,6 +51,8 @@ class Transducers:
         self._facing = SharedArray(self.count, wp.vec4, device)
         self._boards = SharedArray(len(arrays.sides), wp.vec4, device)
         self._corners = SharedArray(len(arrays.corners), wp.vec3, device)
+        self.places: tuple[Any, Any] = (self._places.array, self._facing.array)
+        self.corners, self.boards = self._corners.array, self._boards.array
         self.order = np.concatenate([group.chosen for group in arrays.groups])
         self._sorted = bool((self.order == np.arange(self.count)).all())
         self.scale = np.ones(self.count, np.complex128)
@@ -101,21 +106,6 @@ class Transducers:
     def strengths(self, amplitudes: Complex) -> Complex:
         """Return the strengths for kernels [Pa m] of amplitudes relative to full drive, both of shape (k, count)."""
         return self.scale * (amplitudes if self._sorted else amplitudes[:, self.order])
-
-    @property
-    def places(self) -> tuple[Any, Any]:
-        """Positions [m] and directions on the device, shapes (count,), four numbers each."""
-        return self._places.array, self._facing.array
-
-    @property
-    def corners(self) -> Any:
-        """Corners of the box of the transducers of each side [m], on the device, shape (8 sides,)."""
-        return self._corners.array
-
-    @property
-    def boards(self) -> Any:
-        """Mean direction of each array and height of its centre along it [m], on the device, shape (parts,)."""
-        return self._boards.array
 
 
 class DriveTable(NamedTuple):

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,8 +31,7 @@ THUMB_ABDUCTION_deg = 60.0
 """Largest palmar abduction of the thumb out of the plane of the palm; tables give 45 to 70."""
 
 
-@dataclass(frozen=True)
-class HandBone:
+class HandBone(NamedTuple):
     """A moving part. parent: index of the parent bone, -1 for the root; origin: origin of the frame at rest [m]."""
 
     name: str

@@ -1,6 +1,6 @@
 """Unit of a mesh file: given by the user or the format, or inferred from the size of a hand."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from palmfield.errors import SceneError
 
@@ -13,8 +13,7 @@ HAND_m, FOREARM_m = (0.13, 0.26), (0.36, 0.56)
 LEAST_HAND_BREADTH, GREATEST_FOREARM_BREADTH = 0.3, 0.4
 
 
-@dataclass(frozen=True)
-class Unit:
+class Unit(NamedTuple):
     """A unit of length. name: key of METRES; metres: its length [m]; source: reason of the choice, for the report."""
 
     name: str

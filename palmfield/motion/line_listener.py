@@ -6,10 +6,11 @@ import selectors
 import socket
 import threading
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import Counter
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
+from palmfield.closing import Closing
 from palmfield.errors import DeviceError, refuse_unknown
 from palmfield.realtime import follower
 
@@ -52,7 +53,7 @@ def read_object(line: str | bytes) -> dict[str, Any]:
     return value
 
 
-class LineListener(ABC):
+class LineListener(Closing):
     """Context manager that reads the lines of one sender in a separate thread. A subclass processes the lines.
 
     One sender is accepted from its first valid line on: with TCP until its connection ends, with UDP until it has been
@@ -127,12 +128,6 @@ class LineListener(ABC):
         for key in list(self._open.get_map().values()):
             self._socket_of(key).close()
         self._open.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
 
     # -- the listening thread ------------------------------------------------------------------------------------------
 

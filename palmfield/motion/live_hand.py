@@ -2,11 +2,12 @@
 
 import threading
 import time
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from palmfield.closing import Closing
 from palmfield.errors import DeviceError, PalmfieldError, SceneError
 from palmfield.hand.articulated import ArticulatedHand
 from palmfield.motion.joints import POSITION_VALID
@@ -33,7 +34,7 @@ class LivePose(NamedTuple):
     sample_s: float
 
 
-class LiveHand:
+class LiveHand(Closing):
     """Context manager that follows the newest sample of a tracker in a separate thread.
 
     listener: reads the samples; newest: last pose, None before the shape of the palm is estimated
@@ -98,12 +99,6 @@ class LiveHand:
         self._due.set()
         self.listener.close()
         self._thread.join()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
 
     def _take(self, arrived: Arrived) -> None:
         sample = arrived.sample

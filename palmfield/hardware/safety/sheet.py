@@ -25,8 +25,7 @@ DEFAULT_HEAD_M = (0.0, -0.35, 0.45)
 """Default position of a head, of a person who sits in front of an array that faces up; array frame [m]."""
 
 
-@dataclass(frozen=True)
-class AtHand:
+class AtHand(NamedTuple):
     """Sound at a skin: its name, the incident sound at its loudest point, and the largest ARP there [Pa]."""
 
     skin: str

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from filelock import FileLock, Timeout
 
+from palmfield.closing import Closing
 from palmfield.errors import OutputError, unwritable
 from palmfield.input_files import plain, read_bytes, reading
 from palmfield.session.scene_text import read_scene_text
@@ -92,7 +93,7 @@ def next_trial(design: Design, trials: list[Trial]) -> tuple[int, int, int, floa
     return None
 
 
-class LogWriter:
+class LogWriter(Closing):
     """Writes an experiment's log, new or continued; it is locked for other processes. A context manager.
 
     trials: trials so far, in order; session: number of this session, from 1
@@ -158,12 +159,6 @@ class LogWriter:
         self._file.close()
         self._lock.release()
         Path(self._lock.lock_file).unlink(missing_ok=True)
-
-    def __enter__(self) -> "LogWriter":
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
 
 
 def _scene_digest(scene: Path) -> str:

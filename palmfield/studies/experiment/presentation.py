@@ -4,8 +4,9 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
+from palmfield.closing import Closing
 from palmfield.drive.board import Board
 from palmfield.drive.frame_log import FrameLog, LogHead
 from palmfield.drive.limits import SoundLimits
@@ -71,7 +72,7 @@ def presentation(
     return Presentation(frames, model.board, log_head(model), duration_s)
 
 
-class Sender:
+class Sender(Closing):
     """Sends presentations to a port by one player process for all of them; without a port nothing is sent.
 
     This is the only place where an experiment sends. A context manager: the board is silent at its end.
@@ -127,9 +128,3 @@ class Sender:
         if self._open is not None:
             player, self._open = self._open[2], None
             player.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()

@@ -5,8 +5,8 @@ import queue
 import threading
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from typing import Self
 
+from palmfield.closing import Closing
 from palmfield.errors import OutputError
 from palmfield.studies.view.messages import Address, End, FromPage, FromSimulation, Ready
 from palmfield.studies.view.page_process import run_page
@@ -15,7 +15,7 @@ STARTS_WITHIN_S = 60.0
 ENDS_WITHIN_S = 5.0
 
 
-class Link:
+class Link(Closing):
     """A page in a separate process. A context manager, which ends that process.
 
     Separate threads send and receive, so that a page that does not respond cannot block the simulation.
@@ -94,12 +94,6 @@ class Link:
             self._process.kill()
             self._process.join(ENDS_WITHIN_S)
         self._talk.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
 
 
 def _receive(talk: Connection, inbox: "queue.SimpleQueue[FromPage | None]") -> None:

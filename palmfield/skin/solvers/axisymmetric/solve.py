@@ -17,6 +17,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -213,8 +214,7 @@ class _DiscProblem:
     beyond: bool = False
 
 
-@dataclass(frozen=True)
-class _Found:
+class _Found(NamedTuple):
     """Displacement and velocity (2, t, n, 3), the errors by left-out harmonics (3,), the grid in words."""
 
     moved: Float

@@ -1,0 +1,18 @@
+"""Objects that hold a port, a file or a thread until they are closed."""
+
+from abc import ABC, abstractmethod
+from typing import Self
+
+
+class Closing(ABC):
+    """Closed at the end of a `with` block, also after an error."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what is held; end its threads and processes."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
