@@ -36,8 +36,7 @@ class ArrayModule(Module):
 
     def draw(self, drawing: "Drawing") -> None:
         """Draw a disc on each transducer: its colour (a cyclic scale) shows the phase, its size the amplitude."""
-        from palmfield.engine.scene_view import view_of
-        from palmfield.engine.view_colours import phase_colours
+        from palmfield.engine.scene_view import phase_colours, view_of
 
         view = view_of(self.world) if drawing.shows("geom", PHASES_GROUP) else None
         if view is None:

@@ -7,6 +7,7 @@ Fast changes are averaged as by a camera with an exposure of EXPOSURE_s.
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib import colormaps
 
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.engine.host import World
@@ -28,6 +29,11 @@ FEW = 2
 """With more drives the mean is smooth; it is then computed at the skin nodes and interpolated linearly."""
 ALIKE = 1e-6
 """Drives with a smaller difference, relative to the louder one, count as one drive at two levels."""
+FAINT = 0.02
+"""Share of the largest ARP below which skin has no colour."""
+FULL = 0.25
+"""Share of the largest ARP above which the colour covers the skin completely."""
+FOCUS: Float = np.array([0.0, 0.75, 0.65, 1.0])
 
 
 class SeenTransducers(NamedTuple):
@@ -203,3 +209,15 @@ def _level(drive: Complex, unit: Complex) -> float | None:
     factor = np.vdot(unit, drive) / np.vdot(unit, unit).real
     apart = np.abs(drive - factor * unit).max()
     return float(abs(factor) ** 2) if apart <= ALIKE * np.abs(drive).max() else None
+
+
+def arp_colours(shares: Float) -> Float:
+    """Return colours for ARP relative to the largest, shape (n,): red, green, blue and opacity, shape (n, 4)."""
+    colours = np.array(colormaps["magma_r"](0.07 + 0.75 * np.clip(shares, 0.0, 1.0)))
+    colours[:, 3] = np.clip((shares - FAINT) / (FULL - FAINT), 0.0, 1.0)
+    return colours
+
+
+def phase_colours(phases: Float) -> Float:
+    """Return colours of phases [rad], shape (n,), on a cyclic scale, shape (n, 4)."""
+    return np.array(colormaps["twilight"](np.mod(phases, 2.0 * np.pi) / (2.0 * np.pi)))

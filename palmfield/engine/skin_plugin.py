@@ -96,8 +96,7 @@ class SkinModule(Module):
 
     def draw(self, drawing: "Drawing") -> None:
         """Draw the mean ARP on the skin by colour, and its maximum as a label."""
-        from palmfield.engine.scene_view import EXPOSURE_s, view_of
-        from palmfield.engine.view_colours import FAINT, arp_colours
+        from palmfield.engine.scene_view import FAINT, EXPOSURE_s, arp_colours, view_of
 
         view = view_of(self.world) if drawing.shows("geom", ARP_GROUP) else None
         seen = None if view is None else view.skin(self.number)

@@ -22,8 +22,7 @@ class StimulusModule(Module):
 
     def draw(self, drawing: "Drawing") -> None:
         """Draw a ball at each focus, and small ones at its places in the next moments."""
-        from palmfield.engine.scene_view import view_of
-        from palmfield.engine.view_colours import FOCUS
+        from palmfield.engine.scene_view import FOCUS, view_of
 
         view = view_of(self.world) if drawing.shows("site", FOCI_GROUP) else None
         if view is None:

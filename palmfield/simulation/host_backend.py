@@ -16,7 +16,6 @@ from palmfield.drive.transducer_response import EmittedCourse, present_drive, ro
 from palmfield.errors import naming_world
 from palmfield.simulation.backend import Backend, Frames, StepTrace
 from palmfield.simulation.emission import MeanDrives
-from palmfield.simulation.forces import body_force
 from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
@@ -223,12 +222,12 @@ class HostBackend(Backend):
                 made = self._kept.rows(body, own.shape[1:], one.worlds, one.keys, self._force, body, one)
                 own[one.worlds] = one.factors[:, None, None, None] * made
             for world, arp in self._pressed[body].items():
-                own[world] = body_force(self.works[world].radiation, self._posed[world], body, arp)
+                own[world] = self.works[world].radiation.force(self._posed[world], body, arp)
 
     def _unit_force(self, world: int, body: int, one: Sounding) -> Float:
         """Return the force of the drive of a world on a body, world axes, shape (2, b, 3)."""
         arp = self._unit_arp(world, body, one)
-        return body_force(self.works[world].radiation, self._posed[world], body, arp)
+        return self.works[world].radiation.force(self._posed[world], body, arp)
 
     def _unit_arp(self, world: int, body: int, one: Sounding) -> Float32:
         """Return the ARP of the drive of a world at the samples of a body [Pa], shape (n,)."""

@@ -1,4 +1,4 @@
-"""ARP on the surfaces of a posed scene: the stages field and ARP of a step, with their caches.
+"""ARP on the surfaces of a posed scene, and its force on the bodies that carry skin, with their caches.
 
 A Radiation belongs to one state and is used by one thread at a time. It stores buffers for the points of each skin,
 and the last ARP of each role, under the serial numbers of pose and drive.
@@ -8,6 +8,7 @@ import numpy as np
 
 from palmfield.acoustics.arp import SurfaceSound
 from palmfield.acoustics.surface_arp import SurfaceArp
+from palmfield.acoustics.surface_load import Parts, pushes, resultants
 from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.simulation.kept import Kept
 from palmfield.simulation.model import HapticModel, SkinModel
@@ -120,6 +121,22 @@ class Radiation:
         name = "field", skin, role, len(points)
         field = self._shared.of(name, posed.arrays.serial, self._field, posed, skin, len(points))
         return self._sound[skin].sound((posed, skin, role, points, normals, None, field), drive)
+
+    def force(self, posed: PosedScene, body: int, arp: Float | Float32) -> Float:
+        """Return forces [N] on the parts of a body and torques about their origins [N m], world axes, shape (2, b, 3).
+
+        arp: at the samples of the body [Pa], shape (n,)
+        """
+        surface = posed.bodies[body]
+        key = posed.arrays.serial, surface.serial
+        of_unit, parts = self.kept.of(("push", body), key, self._of_unit_pressure, posed, body)
+        return np.array(resultants(arp, of_unit, surface.origins, parts)) @ posed.array_frame.rotation.T
+
+    def _of_unit_pressure(self, posed: PosedScene, body: int) -> tuple[Float, Parts]:
+        """Return the effect of a unit pressure on each sample of a body, see `pushes`, and the parts of the samples."""
+        points, normals, areas, numbers = self.samples(posed, self.model.first_skins[body])
+        surface = posed.bodies[body]
+        return pushes(areas, normals, points), Parts(surface.sample_parts[numbers], len(surface.origins))
 
     def solution(self, skin: int) -> Solution | None:
         """Return the last boundary-element solution for the body of a skin."""

@@ -735,7 +735,7 @@ MUTATIONS = (
     Mutation(
         "forces of the pose before",
         "push",
-        "palmfield/simulation/forces.py",
+        "palmfield/simulation/radiation.py",
         "key = posed.arrays.serial, surface.serial",
         "key = posed.arrays.serial, body",
         "tests/simulation/test_posed_scene.py::test_forces_follow_a_body_that_turns",

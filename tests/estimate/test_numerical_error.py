@@ -17,7 +17,6 @@ from palmfield.estimate.numerics.loudest_sound import LoudestSound
 from palmfield.estimate.numerics.mesh_error import meshes_to_compare
 from palmfield.estimate.numerics.point_response import Response
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.forces import body_force
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
@@ -165,7 +164,7 @@ def test_force_on_a_mesh_of_large_faces(small_scene):
     drive = array_drives(model, model.arrays)[0].unit_drive(model.stimuli[0].reference_foci).amplitudes
     on_patch = float(unit(scene) @ model.skins[0].layer.quadrature.weights)
     radiation = Radiation(model)
-    force, _ = body_force(radiation, posed, 0, radiation.on(posed, 0, "samples", drive).arp)
+    force, _ = radiation.force(posed, 0, radiation.on(posed, 0, "samples", drive).arp)
     # The array looks up and the box down; side lobes beyond the patch add a little.
     assert 1.0 < force.sum(axis=0)[2] / on_patch < 1.08
 

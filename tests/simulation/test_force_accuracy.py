@@ -11,7 +11,6 @@ from palmfield.hand.force_samples import sample_mesh
 from palmfield.hand.triangles import face_samples
 from palmfield.planning.modelled import modelled
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.forces import body_force
 
 SCENES = folder("mjcf") / "scenes"
 ACCURACIES = 0.0015, 0.004, 0.006, 0.012
@@ -44,7 +43,7 @@ def errors(request):
         for accuracy, sim in sims.items():
             here = sim.runtime.posed
             radiation = sim.runtime.work.radiation
-            pushed = body_force(radiation, here, 0, radiation.on(here, 0, "samples", drive).arp)
+            pushed = radiation.force(here, 0, radiation.on(here, 0, "samples", drive).arp)
             parts, about = pushed @ here.array_frame.rotation
             own = (about + np.cross(here.bodies[0].origins - body.frame.position, parts)).sum(axis=0)
             off, turned = np.linalg.norm(parts.sum(axis=0) - force), np.linalg.norm(own - torque)

@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.forces import body_force
 from palmfield.simulation.posed_scene import PoseLayout, posed_scene, reference_scene, settled_worlds
 from palmfield.simulation.radiation import Radiation
 from palmfield.transforms import IDENTITY, Transform, relative
@@ -93,7 +92,7 @@ def test_forces_follow_a_body_that_turns(small_scene):
         turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
         frames[-1] = Transform(frames[-1].position + 0.002, turn @ frames[-1].rotation)
         scene = posed(model, frames)
-        found = body_force(radiation, scene, 0, radiation.on(scene, 0, "samples", drive).arp)
+        found = radiation.force(scene, 0, radiation.on(scene, 0, "samples", drive).arp)
         points, normals, areas = scene.bodies[0].samples
         pushes = -(Radiation(model).at(scene, 0, "samples", points, normals, drive).arp * areas)[:, None] * normals
         np.testing.assert_allclose(found[0, 0], pushes.sum(axis=0), rtol=0.0, atol=1e-5 * np.abs(found[0]).max())

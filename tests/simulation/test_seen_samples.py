@@ -12,7 +12,6 @@ from palmfield.config import ArrayConfig
 from palmfield.data import folder
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.forces import body_force
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.seen_samples import PADDED_TO, seen
 from palmfield.transforms import Placement
@@ -59,7 +58,7 @@ def test_the_force_is_that_of_what_is_seen_in_double_precision(hand, arp64):
     place = posed.focal_points(model.stimuli[0], 0)
     emitted = drive.unit_drive(place.at(np.array([0.0, 0.0, 0.2]))).amplitudes
     radiation = runtime.work.radiation
-    pushed = body_force(radiation, posed, 0, radiation.on(posed, 0, "samples", emitted).arp)[0]
+    pushed = radiation.force(posed, 0, radiation.on(posed, 0, "samples", emitted).arp)[0]
     force = (pushed @ posed.array_frame.rotation).sum(axis=0)
     array, air = posed.arrays.array, posed.arrays.air
     points, normals, areas = posed.bodies[0].samples
