@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 AS_BYTES = methodcaller("tobytes")
+HERE: Bool = np.ones(1, dtype=bool)
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING) | int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
 """MuJoCo flags that together disable all passive forces."""
@@ -170,23 +171,20 @@ class SceneRuntime:
         """
         for read in self._reading:
             read()
-        return self._posed_at()
+        return self._posed_in(HERE)[0]
 
     def _posed_in(self, here: Bool) -> dict[int, PosedScene]:
         """Return the PosedScene of the frames that were read last, in the selected worlds; here: shape (1,)."""
-        return {0: self._posed_at()} if here[0] else {}
-
-    def _posed_at(self) -> PosedScene:
-        """Return the PosedScene of the frames that were read last."""
+        if not here[0]:
+            return {}
         last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
-        if numbers == self._numbers:
-            return last
-        rotations = self._matrices.reshape(-1, 3, 3)
-        posed = posed_scene(self.model, self.layout, self._positions, rotations, last, self.work.reference)
-        if posed.bodies != last.bodies or posed.arrays.serial != last.arrays.serial:
-            check_clear(posed)
-        self._posed, self._numbers = posed, numbers
-        return posed
+        if numbers != self._numbers:
+            rotations = self._matrices.reshape(-1, 3, 3)
+            posed = posed_scene(self.model, self.layout, self._positions, rotations, last, self.work.reference)
+            if posed.bodies != last.bodies or posed.arrays.serial != last.arrays.serial:
+                check_clear(posed)
+            self._posed, self._numbers = posed, numbers
+        return {0: self._posed}
 
     def _begin(self, t0: float, anew: bool) -> None:
         """Begin the step at t0 [s] in the present pose and state; a step that has begun is repeated only if `anew`."""

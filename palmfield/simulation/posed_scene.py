@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from palmfield.hand.posed_surface import SkinBinding
 
 SERIAL = attrgetter("serial")
+NO_FRAMES: tuple[Float, Float] = np.zeros((0, 3)), np.zeros((0, 3, 3))
 
 
 class PoseLayout:
@@ -110,7 +111,7 @@ class PosedSurface:
             return self.model.posed_samples(moved, self.frame)
         return *self.frame.surface(points, normals), areas
 
-    @cached_property
+    @property
     def sample_parts(self) -> Int:
         """Return for each sample the number of the body in `origins` that it pushes, shape (n,)."""
         if self.model.hand is None:
@@ -266,7 +267,7 @@ def posed_scene(
     for number, (row, bones) in enumerate(layout.bodies):
         first = reference.bodies[number]
         frame = Transform(positions[row], rotations[row])
-        of_bones = _seen_from(world_positions, world_rotations, row, bones)
+        of_bones = NO_FRAMES if first.model.hand is None else _seen_from(world_positions, world_rotations, row, bones)
         body = PosedSurface(model.bodies[number], first.skin, frame, of_bones)
         placed.append(body)
         if previous.bodies[number].numbers == body.numbers:
@@ -282,7 +283,9 @@ def posed_scene(
     skins = []
     for number, skin in enumerate(model.skins):
         body, row = bodies[skin.body], layout.bodies[skin.body][0]
-        obstacles = _seen_from(world_positions, world_rotations, row, layout.obstacles[number])
+        others, obstacles = layout.obstacles[number], NO_FRAMES
+        if others.start < others.stop:
+            obstacles = _seen_from(world_positions, world_rotations, row, others)
         posed_skin = PosedSkin(skin, body, obstacles)
         last, first_pose = previous.skins[number], reference.skins[number]
         if last.body is body and last.numbers == posed_skin.numbers:
@@ -331,18 +334,15 @@ def _settled(body: PosedSurface, reference: PosedSurface, corners: Float, still_
         now, then = body.frame.points(corners), reference.frame.points(corners)
     else:
         now, then = body.vertices_in_array, reference.vertices_in_array
-    return _within(now, then, still_m)
+    return bool(np.maximum.reduce(np.abs(now - then), axis=None) < still_m)
 
 
 def _obstacles_settled(posed: PosedSkin, reference: PosedSkin) -> bool:
     """Return whether the obstacles count as in the reference pose."""
     if posed.obstacles is None or reference.obstacles is None:
         return True
-    return _within(posed.obstacles[0], reference.obstacles[0], posed.skin.still_m)
-
-
-def _within(points: Float, others: Float, distance_m: float) -> bool:
-    return bool(np.maximum.reduce(np.abs(points - others), axis=None) < distance_m)
+    moved = np.maximum.reduce(np.abs(posed.obstacles[0] - reference.obstacles[0]), axis=None)
+    return bool(moved < posed.skin.still_m)
 
 
 def _seen_from(positions: Float, rotations: Float, body: int, others: slice) -> tuple[Float, Float]:

@@ -11,8 +11,10 @@ from palmfield.data import folder
 from palmfield.engine.host import raise_errors
 from palmfield.session.simulation import Simulation
 
-MOST = 249
-"""Of the scenes 84 to 249; in a graph a step runs 61."""
+MOST, AT_REST = 247, 101
+"""Of the scenes 83 to 247; of those in which only the level of one focus changes on a reduced model, 83 to 100. In a
+graph a step runs 61."""
+LEVELS_ONLY = ("palm_am200", "palm_step_sonicsurface", "phantom_am200", "phantom_step")
 MORE = 70
 """For each further skin or array of a small scene."""
 SECOND_PAD = (
@@ -47,7 +49,7 @@ def test_a_step_of_a_shipped_scene_runs_few_python_functions(name, python_calls)
     sim.step(40)  # launches are recorded and loads computed ahead for the first time
     assert sim.runtime.model.substeps == round(sim.model.opt.timestep / facts["step_s"])
     assert sim.skin().solver == facts["ended"]
-    assert max(calls_of_steps(sim, python_calls)) <= MOST
+    assert max(calls_of_steps(sim, python_calls)) <= (AT_REST if name in LEVELS_ONLY else MOST)
 
 
 def test_a_step_of_coupled_modes_runs_few_python_functions(small_scene, python_calls):
