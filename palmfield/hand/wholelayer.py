@@ -11,12 +11,11 @@ from palmfield.hand.layer import (
     depth_by_vertex,
     fit_thickness,
     inward_directions,
-    layer_volume,
     mesh_report,
-    thickness_integral,
     unfolded,
     wedge_quality,
 )
+from palmfield.hand.layer_volume import layer_volume, thickness_integral
 from palmfield.hand.meshquery import exit_distances
 from palmfield.hand.triangles import face_normals, largest_part, on_rim, unique_edges, vertex_areas
 from palmfield.types import Float, Int, Patch, Surface
@@ -57,7 +56,7 @@ def hand_layer(
     depth_asked_{min,p10,mean}_m (requested), depth_got_{min,p10,mean}_m, p10_share (10th percentile of their ratio)
     area_thinned (share with less than 0.999 of the requested thickness), area_limited (share of these where
     max_fraction alone is the reason)
-    volume_m3, thickness_integral_m3 (see `layer.thickness_integral`), volume_share (their ratio)
+    volume_m3, thickness_integral_m3 (see `layer_volume.thickness_integral`), volume_share (their ratio)
     vertices_moved, moved_most_m
     sheet_1_p10_m, sheet_1_volume_m3, sheet_1_quality_min, and so on for each of `sheets`
 

@@ -10,15 +10,13 @@ from bisection import bisected
 
 from palmfield.errors import SceneError
 from palmfield.hand.layer import (
-    curvature_integrals,
     fit_thickness,
     inward_directions,
-    layer_volume,
     most_visible_normals,
-    thickness_integral,
     unfolded,
     wedge_quality,
 )
+from palmfield.hand.layer_volume import curvature_integrals, layer_volume, thickness_integral
 from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
