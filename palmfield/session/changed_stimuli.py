@@ -7,7 +7,7 @@ from palmfield.session.simulation import Simulation
 from palmfield.session.world_keys import BOUND, with_texts
 from palmfield.simulation.build import build, demands_of
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.state import WHOLE, at_rest, hand_over, stepper_of
+from palmfield.simulation.state import WHOLE, at_rest, claim, stepper_of
 
 LEAST_SPOT = 0.8
 """Smallest spot relative to that of the mesh of a layer; a smaller spot needs finer elements."""
@@ -45,7 +45,7 @@ def change_stimuli(sim: Simulation, texts: Mapping[str, Mapping[str, str]]) -> b
     for number, stepper in enumerate(steppers):
         if stepper is not None:
             # The motion is still valid, because the modes are for any load; only the mark depends on the old keys
-            hand_over(model, state, number, stepper)
+            claim(model, state, number, stepper, of_any_owner=True)
     return True
 
 

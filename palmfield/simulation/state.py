@@ -126,22 +126,17 @@ def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinS
     return stepper, part[:, HEADER : HEADER + stepper.state_size]
 
 
-def claim(model: HapticModel, state: HapticState, skin: int, stepper: SkinStepper) -> None:
-    """Write this stepper into the header of a skin as the owner of its numbers. SceneError as `stepper_of`."""
-    if state.skins[skin][0, :2].tolist() != _owner(model, skin, stepper):
-        stepper_of(model, state, skin)
-        hand_over(model, state, skin, stepper)
+def claim(model: HapticModel, state: HapticState, skin: int, stepper: SkinStepper, of_any_owner: bool = False) -> None:
+    """Write this stepper into the header of a skin as the owner of its numbers. SceneError as `stepper_of`.
 
-
-def hand_over(model: HapticModel, state: HapticState, skin: int, stepper: SkinStepper) -> None:
-    """Do as `claim` for the state of any owner, whose numbers must be valid for the stepper."""
-    state.skins[skin][0, :2] = _owner(model, skin, stepper)
-
-
-def _owner(model: HapticModel, skin: int, stepper: SkinStepper) -> list[float]:
-    """Return the header of a state of this stepper."""
+    of_any_owner: whether the numbers of any owner, which must be valid for the stepper, are taken over
+    """
     mark = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
-    return [float(BEGUN if model.begin[skin].value is stepper else WHOLE), mark]
+    kind, header = BEGUN if model.begin[skin].value is stepper else WHOLE, state.skins[skin][0]
+    if header[0] != kind or header[1] != mark:
+        if not of_any_owner:
+            stepper_of(model, state, skin)
+        header[0], header[1] = kind, mark
 
 
 def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:
