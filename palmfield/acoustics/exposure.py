@@ -48,7 +48,7 @@ def ball_points(middle: Float, radius_m: float, spacing_m: float) -> Float:
     return np.asarray(middle, float) + grid[np.linalg.norm(grid, axis=1) <= radius_m * (1.0 + 1e-9)]
 
 
-def radiated_power_W(array: Array, drive: Complex, air: Air, frequency_Hz: float = 40e3) -> float:
+def radiated_power_W(array: Array, drive: Complex, air: Air) -> float:
     """Return the sum of the sound powers of all transducers, each without the others.
 
     drive: complex amplitude relative to full drive, shape (n,). The power is the integral of |p|^2/(2 rho c) over the
@@ -56,7 +56,7 @@ def radiated_power_W(array: Array, drive: Complex, air: Air, frequency_Hz: float
     """
     if drive.shape != (len(array),):
         raise PalmfieldError(f"a drive has shape {drive.shape}: give shape ({len(array)},)")
-    beam = directivity(array, 2.0 * math.pi * frequency_Hz / sound_speed(air), np.cos(ANGLES))
+    beam = directivity(array, 2.0 * math.pi * array.frequency_Hz / sound_speed(air), np.cos(ANGLES))
     solid = 2.0 * math.pi * float(np.trapezoid(beam**2 * np.sin(ANGLES), ANGLES))
     gain = np.ones(len(array)) if array.gain is None else np.abs(array.gain)
     squares = float(np.sum(np.abs(drive * gain) ** 2))

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import warp as wp
 from scipy import sparse
 
 import warp_kernels.skinning as kernels
-from palmfield.device import SharedArray, recorded, resolve
+from palmfield.device import recorded
 from palmfield.errors import SceneError
 from palmfield.hand.blend import bone_shifts
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
@@ -85,25 +86,19 @@ class SkinBinding:
 class FaceSampler:
     """Computes `face_samples` of a mesh with moving vertices in fixed buffers, in float64; not thread-safe.
 
-    faces: shape (m, 3); count: number of vertices; device: "auto", "cpu" or "cuda:N"
+    faces: shape (m, 3); count: number of vertices
     """
 
-    def __init__(self, faces: Int, count: int, device: str = "cpu") -> None:
-        """Raises PalmfieldError for an unknown device."""
-        self._device = resolve(device)
-        self._vertices = SharedArray(count, wp.vec3d, self._device)
-        self._results = [SharedArray(len(faces), dtype, self._device) for dtype in (wp.vec3d, wp.vec3d, wp.float64)]
-        corners: wp.array = wp.array(np.ascontiguousarray(faces, np.int32), dtype=wp.vec3i, device=self._device)
-        arrays = [self._vertices.array, corners, *(result.array for result in self._results)]
-        self._sample = recorded(kernels.face_samples, len(faces), arrays, self._device)
-        self._samples = FaceSamples(*(result.host for result in self._results))
+    def __init__(self, faces: Int, count: int) -> None:
+        vertices: Any = wp.zeros(count, dtype=wp.vec3d, device="cpu")
+        corners: Any = wp.array(np.ascontiguousarray(faces, np.int32), dtype=wp.vec3i, device="cpu")
+        results = [wp.zeros(len(faces), dtype=dtype, device="cpu") for dtype in (wp.vec3d, wp.vec3d, wp.float64)]
+        self._sample = recorded(kernels.face_samples, len(faces), [vertices, corners, *results], "cpu")
+        self._vertices: Float = vertices.numpy()
+        self._samples = FaceSamples(*(result.numpy() for result in results))
 
     def at(self, vertices: Float) -> FaceSamples:
         """Return the samples for vertices [m], shape (count, 3), as views of buffers that the next call overwrites."""
-        self._vertices.put(vertices)
+        self._vertices[...] = vertices
         self._sample()
-        if self._device != "cpu":
-            for result in self._results:
-                result.download()
-            wp.synchronize_stream(self._device)
         return self._samples

@@ -231,12 +231,12 @@ def rigged_file(path: str, unit: str) -> RiggedMesh:
     return load_rigged(path, unit, EDGE_m)
 
 
-def skinned_mesh(mesh: RiggedMesh, origin: Float, device: str = "cpu") -> SkinnedSurface:
+def skinned_mesh(mesh: RiggedMesh, origin: Float) -> SkinnedSurface:
     """Return a user's skin and bones in a frame parallel to that of the file, with its origin at `origin` [m], (3,)."""
     weights = np.zeros((len(mesh.weights), len(mesh.joints.names)))
     np.add.at(weights, (np.arange(len(weights))[:, None], mesh.indices), mesh.weights)
     surface = Surface(mesh.surface.vertices - origin, mesh.surface.faces, mesh.surface.normals)
-    return SkinnedSurface(bones_of_mesh(mesh, origin), surface, weights, device)
+    return SkinnedSurface(bones_of_mesh(mesh, origin), surface, weights)
 
 
 def bones_of_mesh(mesh: RiggedMesh, origin: Float) -> list[HandBone]:

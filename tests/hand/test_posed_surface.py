@@ -9,7 +9,7 @@ import pytest
 from rigid_sphere import geodesic
 from scipy.spatial.transform import Rotation
 
-from palmfield.errors import PalmfieldError, SceneError
+from palmfield.errors import SceneError
 from palmfield.hand.articulated import bone_poses
 from palmfield.hand.posed_surface import FaceSampler, SkinBinding
 from palmfield.hand.preset import load_preset
@@ -114,8 +114,3 @@ def test_python_calls(hand: SkinnedHand) -> None:
     assert python_calls(lambda: hand.posed(*pose)) <= 15
     assert python_calls(lambda: binding.blend(hand, *pose, points, normals)) <= 10
     assert python_calls(lambda: sampler.at(vertices)) <= 5
-
-
-def test_a_device_that_is_not_there() -> None:
-    with pytest.raises(PalmfieldError, match="cuda:99"):
-        FaceSampler(np.zeros((1, 3), np.int32), 3, "cuda:99")
