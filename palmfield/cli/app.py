@@ -58,6 +58,8 @@ OF_OTHERS = "From other distributions"
 INTERRUPTED_CODE = 130
 """Exit code after Ctrl-C."""
 USUAL_THRESHOLDS = gc.get_threshold()
+WITHOUT_DASK = ("run", "recover", "plot", "render", "usd")
+"""Commands for which xarray imports no dask, which takes 0.25 s if it is installed and serves only sweeps."""
 OBJECTS_AT_START = 300_000
 """Number of new objects before the first garbage collection, slightly more than imports and a scene make. They all
 remain in use, and searching them would take a fifth of the start-up time."""
@@ -179,10 +181,15 @@ def main() -> None:
 
 
 def start() -> None:
-    """Run `main` with garbage collection delayed until after the start."""
+    """Run `main` with garbage collection delayed until after the start, and without a last one at the end."""
     gc.callbacks.append(_before_garbage)
     gc.set_threshold(OBJECTS_AT_START)
-    main()
+    if next((word for word in sys.argv[1:] if not word.startswith("-")), "") in WITHOUT_DASK:
+        sys.modules["dask"] = None  # type: ignore[assignment]
+    try:
+        main()
+    finally:
+        gc.freeze()
 
 
 def _before_garbage(phase: str, info: dict[str, int]) -> None:

@@ -111,13 +111,9 @@ class SpillingFile(io.RawIOBase):
 class ResultWriter:
     """Writes groups, static variables, and the parts of record variables in succession."""
 
-    def __init__(self, file: h5netcdf.File, lengths: dict[str, int], *, packed: bool) -> None:
-        """lengths: number of records along each record dimension
-
-        packed: whether records are compressed where it helps and groups contain the coordinates of the root, as in a
-            result
-        """
-        self._file, self._lengths, self._packed = file, lengths, packed
+    def __init__(self, file: h5netcdf.File, lengths: dict[str, int]) -> None:
+        """lengths: number of records along each record dimension"""
+        self._file, self._lengths = file, lengths
         for dim, length in lengths.items():
             if length:
                 file.dimensions[dim] = length
@@ -149,7 +145,7 @@ class ResultWriter:
                 made = group.variables.get(name)
                 made = self._create(group, name, schema[name], array) if made is None else made
                 self._fill(made, record_of(schema[name]), array, start)
-            if self._packed and path != "/":
+            if path != "/":
                 self._put_times(group, {record_of(schema[name]) for name in variables}, arrays.get("/", {}), start)
 
     def _put_times(
@@ -179,7 +175,7 @@ class ResultWriter:
         dim = record_of(variable)
         shape = array.shape if dim is None else (self._lengths[dim], *array.shape[1:])
         for own, length in zip(variable.dims, shape, strict=True):
-            if own in group.dimensions or (not self._packed and (own in RECORDS or own in LABELS)):
+            if own in group.dimensions:
                 continue
             if own in LABELS:
                 self._label(group, own)
@@ -189,7 +185,7 @@ class ResultWriter:
         dtype: Any = np.dtype("int8") if variable.dtype == "bool" else variable.dtype
         if dtype == "str":
             dtype = h5py.string_dtype()
-        elif dim is not None and self._packed and variable.dtype == "float32" and _shrinks(array):
+        elif dim is not None and variable.dtype == "float32" and _shrinks(array):
             row = 4 * int(np.prod(shape[1:]))
             extra = COMPRESSION | {"chunks": (min(shape[0], max(1, CHUNK_BYTES // row)), *shape[1:])}
         made = group.create_variable(name, variable.dims, dtype, **extra)
@@ -202,24 +198,30 @@ class ResultWriter:
 
 
 def image(arrays: Checked, attributes: Attributes) -> bytes:
-    """Return a netCDF file of some groups, as bytes; times have their own lengths."""
+    """Return an HDF5 file of some groups, as bytes, without the dimensions of netCDF, which take ten times as long."""
     memory = io.BytesIO()
-    with h5netcdf.File(memory, "w") as file:
-        writer = ResultWriter(file, lengths_of(arrays), packed=False)
-        writer.labels()
-        writer.groups(arrays, attributes)
-        writer.put(arrays, dict.fromkeys(RECORDS, 0))
+    with h5py.File(memory, "w", track_order=True) as file:
+        for path in ordered(["/", *arrays, *attributes]):
+            group = file
+            for name in path.split("/")[1:] if path != "/" else ():
+                group = group[name] if name in group else group.create_group(name, track_order=True)
+            group.attrs.update({name: storable(value) for name, value in attributes.get(path, {}).items()})
+            for name, array in arrays.get(path, {}).items():
+                values = _stored(array)
+                group.create_dataset(name, data=values, dtype=h5py.string_dtype() if values.dtype == object else None)
     return memory.getvalue()
 
 
-def read_image(data: bytes, *, static: bool = True, records: bool = True) -> tuple[Checked, dict[str, dict[str, Any]]]:
-    """Read arrays and attributes of a file made by `image`; static, records: which arrays.
+def read_image(
+    data: bytes | Path, *, static: bool = True, records: bool = True
+) -> tuple[Checked, dict[str, dict[str, Any]]]:
+    """Read arrays and attributes of a result file, or of one made by `image`; static, records: which arrays.
 
     This uses h5py, because h5netcdf takes ten times as long to open a file.
     """
     arrays: Checked = {}
     attributes: dict[str, dict[str, Any]] = {}
-    with h5py.File(io.BytesIO(data), "r") as file:
+    with h5py.File(data if isinstance(data, Path) else io.BytesIO(data), "r") as file:
         for path, group in _groups(file, "/"):
             schema = variables_of(path)
             # netCDF stores a number as an array of one
@@ -249,7 +251,7 @@ def result_file(path: Path, lengths: dict[str, int]) -> Iterator[tuple[ResultWri
     disk = SpillingFile(path)
     try:
         with h5netcdf.File(disk, "w") as file:
-            yield ResultWriter(file, lengths, packed=True), disk
+            yield ResultWriter(file, lengths), disk
     finally:
         disk.close()
     if disk.lost is not None:
@@ -268,12 +270,6 @@ def read_attributes(path: Path) -> dict[str, Any] | None:
 def record_of(variable: Variable) -> str | None:
     """Return the record dimension of a variable, which is its first, or None."""
     return variable.dims[0] if variable.dims and variable.dims[0] in RECORDS else None
-
-
-def lengths_of(arrays: Checked) -> dict[str, int]:
-    """Return the number of records along each record dimension."""
-    root = arrays.get("/", {})
-    return {dim: len(root[dim]) if dim in root else 0 for dim in RECORDS}
 
 
 def joined(blocks: list[Checked]) -> Checked:

@@ -1,7 +1,7 @@
 """Results on disk that survive Ctrl-C, kill -9 and a full disk.
 
 A run writes complete chunks into `.partial`; `finish` (or, after a kill, `recover`) joins them into `result.nc`.
-Each file in `.partial` is a netCDF file followed by the SHA-256 of its content (which netCDF readers ignore), so that
+Each file in `.partial` is an HDF5 file followed by the SHA-256 of its content (which HDF5 readers ignore), so that
 damage is detected. See `netcdf.py` for the way in which files are written without HDF5.
 """
 
@@ -52,6 +52,8 @@ FLUSH_BYTES = 8_000_000
 FLUSH_SECONDS = 2.0
 SEAL_BYTES = hashlib.sha256().digest_size
 ENGINE: Any = "h5netcdf"
+WHOLE_BYTES = 100_000_000
+"""Size of a new result up to which `finished_result` reads it completely."""
 
 
 class _Waiting(NamedTuple):
@@ -280,6 +282,12 @@ def open_result(path: str | Path) -> xr.DataTree:
         return xr.open_datatree(path, engine=ENGINE, decode_times=False)
     except UNREADABLE as error:
         raise OutputError(f"{path} is damaged: {error}; run its scene again") from error
+
+
+def finished_result(path: Path) -> xr.DataTree:
+    """Return the result of a run that has just ended, as `open_result` does; a small one is read completely, which
+    takes a fifth of the time."""
+    return tree(*read_image(path)) if path.stat().st_size <= WHOLE_BYTES else open_result(path)
 
 
 def write_json(path: Path, obj: object) -> None:

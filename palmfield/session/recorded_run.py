@@ -20,7 +20,7 @@ from rich.progress import Progress
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.interrupts import interrupts_delayed
 from palmfield.outputs.schema import MUJOCO_SCENE, group
-from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occupied, write_json
+from palmfield.outputs.store import MemoryStore, Store, finished_result, open_result, refuse_occupied, write_json
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
 from palmfield.phases import phase
@@ -143,7 +143,7 @@ def run_recorded(
                 result = Result(None, files, _numbers(tree), tree)
             else:
                 assert out is not None
-                tree, files = opened.enter_context(open_result(finished)), {"result.nc": finished}
+                tree, files = opened.enter_context(finished_result(finished)), {"result.nc": finished}
                 files["summary.json"] = Path(out) / "summary.json"
                 result = Result(Path(out), files, _numbers(tree))
             with _carried_by_errors(result):

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from palmfield.errors import OutputError
 from palmfield.outputs import netcdf, store
-from palmfield.outputs.netcdf import SpillingFile
+from palmfield.outputs.netcdf import SpillingFile, read_image
 from palmfield.outputs.schema import instances, tree, variables_of
 from palmfield.outputs.store import DERIVED, MemoryStore, Store, open_result, recover, write_json
 
@@ -134,8 +134,15 @@ def test_the_order_of_the_scene_stays(tmp_path):
 def test_each_chunk_can_be_read_alone(tmp_path, static_arrays, block_arrays, monkeypatch):
     monkeypatch.setattr(store, "FLUSH_SECONDS", 0.0)
     _write_all(tmp_path, static_arrays, block_arrays)
-    with xr.open_datatree(tmp_path / ".partial" / "chunk_000003.nc", engine="h5netcdf") as chunk:
-        xr.testing.assert_equal(chunk.load(), tree(block_arrays(50, 25)))
+    arrays, attributes = read_image(tmp_path / ".partial" / "chunk_000003.nc")
+    xr.testing.assert_equal(tree(arrays, attributes), tree(block_arrays(50, 25)))
+
+
+def test_a_finished_result_is_that_of_the_file(tmp_path, static_arrays, block_arrays, attributes):
+    target = Store(tmp_path, static_arrays, attributes)
+    target.append(block_arrays(0, 25))
+    path = target.finish({}, True)
+    xr.testing.assert_identical(store.finished_result(path), _load(path))
 
 
 def test_small_blocks_wait_and_large_ones_are_flushed(tmp_path):
