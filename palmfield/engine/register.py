@@ -4,7 +4,10 @@
 def register() -> None:
     """Register the palmfield modules with MuJoCo."""
     from palmfield.engine import host
-    from palmfield.engine.modules import MODULES
+    from palmfield.engine.array_plugin import ArrayModule
+    from palmfield.engine.motion_plugin import MotionModule
+    from palmfield.engine.skin_plugin import SkinModule
+    from palmfield.engine.stimulus_plugin import DriverModule, StimulusModule
 
-    for module in MODULES:
+    for module in (ArrayModule, StimulusModule, DriverModule, SkinModule, MotionModule):
         host.register(module)

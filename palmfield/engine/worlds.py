@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
+from palmfield.config import CONFIGS
 from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.many_data import ManyData
-from palmfield.engine.modules import MODULES
 from palmfield.engine.motion_plugin import MotionModule, place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.engine.skin_plugin import SkinModule
@@ -254,7 +254,7 @@ def plain_model(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy without plugins, whose data are stepped without Python, or the model itself if it has plugins of
     other packages. Sensors keep their places."""
     view = ModelView(model._address)
-    if any(plugin not in {module.name for module in MODULES} for _, plugin, _ in view.instances()):
+    if any(plugin not in {config.plugin for config in CONFIGS} for _, plugin, _ in view.instances()):
         return model
     plain = copy.copy(model)
     raw = mirror("mjModel").from_address(plain._address)

@@ -12,10 +12,9 @@ from typing import NamedTuple, TypeAlias, TypedDict, Unpack
 import mujoco
 import numpy as np
 
-from palmfield.config import Config, allowed, known_keys, unknown_key
+from palmfield.config import CONFIGS, Config, allowed, known_keys, unknown_key
 from palmfield.data import folder as data_folder
 from palmfield.engine.host import compiling, take_compile_error, world_of
-from palmfield.engine.modules import MODULES
 from palmfield.engine.motion_plugin import place
 from palmfield.errors import PalmfieldError, SceneError, did_you_mean
 from palmfield.session.scene_text import Instance, SceneText, read_scene_text, sensors_without_objtype
@@ -23,6 +22,8 @@ from palmfield.simulation.scene_reader import DEVICE
 
 LOG = logging.getLogger("palmfield.session")
 SKIN = "palmfield.skin"
+OF_PLUGINS: dict[str, type[Config]] = {config.plugin: config for config in CONFIGS}
+"""Configuration models by the name of their plugin."""
 
 Source: TypeAlias = str | Path | mujoco.MjSpec | mujoco.MjModel
 
@@ -106,7 +107,7 @@ def _compiled_with(scene: "Opened", options: Options) -> mujoco.MjModel:
             LOG.info("board %s: %s", board, change)
     for plugin, (_, _, config) in zip(spec.plugins, plugins, strict=True):
         _check_keys(plugin, config, scene)
-        for key in configs().get(plugin.plugin_name, Config).files:
+        for key in OF_PLUGINS.get(plugin.plugin_name, Config).files:
             if config.get(key) and folder is not None and not Path(config[key]).is_absolute():
                 config[key] = str(folder / config[key])
         plugin.config = config
@@ -212,7 +213,7 @@ def _check_names(text: SceneText) -> None:
     for one in text.elements:
         holder = one.within("plugin") if one.tag == "instance" else None
         plugin = "" if holder is None else holder.attributes.get("plugin", "")
-        if plugin in configs() and not one.attributes.get("name", "").strip():
+        if plugin in OF_PLUGINS and not one.attributes.get("name", "").strip():
             raise SceneError(
                 f"{one.where}: <instance> of plugin '{plugin}' has name '{one.attributes.get('name', '')}'; "
                 "allowed: a unique, non-empty name, which keys and results use"
@@ -248,7 +249,6 @@ def _without_objtype(scene: str, sensor: str, plugin: str) -> SceneError:
 
 def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[str, object]]:
     """Return values by instance name. Raises SceneError for unknown instances, plugins and keys."""
-    models = configs()
     result: dict[str, dict[str, object]] = {}
     set_by: dict[tuple[str, ...], str] = {}
     instances = {plugin.name for plugin in spec.plugins}
@@ -273,7 +273,7 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
                 f"'{value}'; give one of them"
             )
         for plugin in own:
-            config = models.get(plugin.plugin_name)
+            config = OF_PLUGINS.get(plugin.plugin_name)
             if config is not None and key not in known_keys(config):
                 raise SceneError(f"plugin '{plugin.plugin_name}' instance '{plugin.name}': {unknown_key(config, key)}")
             result.setdefault(plugin.name, {})[key] = value
@@ -282,7 +282,7 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
 
 def _check_keys(plugin: mujoco.MjsPlugin, config: Mapping[str, str], scene: Opened) -> None:
     """Raise SceneError for unknown keys, and for empty values, which MuJoCo does not distinguish from missing keys."""
-    model = configs().get(plugin.plugin_name)
+    model = OF_PLUGINS.get(plugin.plugin_name)
     if model is None:
         return
     for key, value in config.items():
@@ -294,11 +294,6 @@ def _check_keys(plugin: mujoco.MjsPlugin, config: Mapping[str, str], scene: Open
         if wrong:
             message = f"plugin '{plugin.plugin_name}' instance '{plugin.name}': {wrong}"
             raise SceneError(f"{_place(message, scene.name, scene.text)}: {message}")
-
-
-def configs() -> dict[str, type[Config]]:
-    """Return the configuration models by plugin name."""
-    return {module.name: module.config for module in MODULES}
 
 
 def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) -> mujoco.MjData:
@@ -329,7 +324,7 @@ def _explained(error: Exception, name: str, text: SceneText | None) -> BaseExcep
 def _in_words(error: Exception, name: str, text: SceneText | None) -> str:
     from palmfield.session.mujoco_messages import in_words
 
-    return in_words(str(error), name, text, list(configs()))
+    return in_words(str(error), name, text, list(OF_PLUGINS))
 
 
 def _place(message: str, name: str, text: SceneText | None) -> str:
