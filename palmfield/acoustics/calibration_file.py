@@ -11,14 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.acoustics.arrays import LAYOUTS, layout_of_version
 from palmfield.acoustics.placement import placed
+from palmfield.config.base import NonNegative, Positive
 from palmfield.errors import SceneError, naming
 from palmfield.input_files import MOST_SETTINGS_BYTES, read_bytes, reading
 from palmfield.types import Array, Complex, Estimate
 from palmfield.whole_files import write_text
 
 Place = tuple[float, float, float]
-NonNegative = Annotated[float, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0)]
 
 RANGES = {
     "phase_rad": (-2.0 * math.pi, 2.0 * math.pi, ", in radians"),

@@ -8,9 +8,10 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from palmfield.config.base import NonNegative, Positive
 from palmfield.errors import MeasurementError
 from palmfield.instruments.scan_grids import pitch
-from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
+from palmfield.instruments.settings import Settings, Vector3
 from palmfield.instruments.signal_chain import sampled
 from palmfield.instruments.surface_motion import SurfaceMotion
 

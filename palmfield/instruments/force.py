@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy.signal import lfilter
 
+from palmfield.config.base import NonNegative, Positive
 from palmfield.errors import MeasurementError
 from palmfield.hand.triangles import checked_mesh
-from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
+from palmfield.instruments.settings import Settings, Vector3
 from palmfield.metrics.checks import even_step, finite, trace
 from palmfield.types import Float
 

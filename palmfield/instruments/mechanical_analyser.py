@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy.special import ive
 
+from palmfield.config.base import Positive
 from palmfield.errors import MeasurementError
-from palmfield.instruments.settings import Positive, Settings
+from palmfield.instruments.settings import Settings
 from palmfield.skin.materials.material import Material, complex_bulk, complex_shear
 from palmfield.types import Complex
 

@@ -14,9 +14,10 @@ from pydantic import Field
 from scipy.signal import butter, freqs_zpk
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
+from palmfield.config.base import NonNegative, Positive
 from palmfield.errors import MeasurementError
 from palmfield.instruments.microphone_body import face_rise
-from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
+from palmfield.instruments.settings import Settings, Vector3
 from palmfield.metrics.checks import even_step, trace
 from palmfield.types import Complex, Float, Int
 

@@ -12,6 +12,8 @@ from palmfield.types import Float
 
 Quantity = Literal["displacement", "velocity"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+SIGHTS = ("sight_x", "sight_y", "sight_z")
+"""Columns of files for directions of sight."""
 UNITS: dict[Quantity, dict[str, float]] = {
     "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
     "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},

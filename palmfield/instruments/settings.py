@@ -10,8 +10,6 @@ from palmfield.errors import MeasurementError, did_you_mean, naming
 from palmfield.input_files import read_toml, reading
 
 Vector3 = Annotated[tuple[float, float, float], Field()]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Settings(BaseModel):

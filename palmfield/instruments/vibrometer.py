@@ -12,8 +12,9 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from palmfield.config.base import NonNegative, Positive
 from palmfield.errors import MeasurementError
-from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
+from palmfield.instruments.settings import Settings, Vector3
 from palmfield.instruments.signal_chain import Phase, highpass, integrated, lowpass, sampled
 from palmfield.instruments.surface_motion import SurfaceMotion
 from palmfield.types import Float

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from palmfield.acoustics.exposure import level_dB
 from palmfield.outputs.motion import extremes, pieces
 from palmfield.outputs.schema import SCHEMA_VERSION, has_records, instances
 
-REFERENCE_PA = 20e-6
 PEAKS = ("peak_pressure_Pa", "peak_arp_Pa", "peak_displacement_m", "peak_velocity_m_s", "total_force_peak_N")
 
 More = Mapping[str, Mapping[str, Any]]
@@ -109,4 +109,4 @@ def skin_numbers(skin: xr.Dataset, surface: xr.Dataset | None, forces: xr.Datase
 
 def level_dB_SPL(peak_Pa: float) -> float | None:
     """Return the sound pressure level of a sine with this amplitude (rms re 20 µPa); None in silence."""
-    return 20.0 * math.log10(peak_Pa / math.sqrt(2.0) / REFERENCE_PA) if peak_Pa > 0 else None
+    return level_dB(peak_Pa / math.sqrt(2.0)) if peak_Pa > 0 else None

@@ -12,9 +12,9 @@ from palmfield.session.open_scene import Source
 from palmfield.session.preview import Preview, preview
 from palmfield.simulation.model import StimulusModel
 from palmfield.stimulus.autd3_stm import stm_of_table, write_foci_stm
-from palmfield.stimulus.duty_law import duty_cycle
+from palmfield.stimulus.duty_law import FULL_DUTY, duty_cycle
 from palmfield.stimulus.focal_points import FocalPoints
-from palmfield.stimulus.focus_table import FULL_DUTY, FocusTable, Quantity, TableFrame
+from palmfield.stimulus.focus_table import FocusTable, Quantity, TableFrame
 from palmfield.stimulus.focus_table_file import MOST_ROWS, focus_table, write_focus_table
 from palmfield.stimulus.schedule import frame_rates, frames_at, main_frequencies, silent_after_s, table_of
 from palmfield.transforms import IDENTITY

@@ -9,16 +9,19 @@ from numpy.typing import ArrayLike
 from palmfield.errors import DeviceError
 from palmfield.types import Float
 
+FULL_DUTY = 0.5
+"""Duty of maximum amplitude; beyond it the amplitude decreases."""
+
 
 def relative_pressure(duty: ArrayLike, exponent: float = 2.0) -> Float:
     """Return p/p_M = sin(pi d)^(g/2).
 
-    duty: 0 to 1/2; beyond 1/2 the amplitude decreases again
+    duty: 0 to FULL_DUTY
     exponent: g, 2 for the rectangular wave. Other values describe transducer and driver of a device whose radiation
         pressure, quadratic in the pressure, was measured as sin(pi d)^g: 1.5 in Hasegawa & Shinoda 2018.
     Raises DeviceError for a duty outside 0 to 1/2 and an exponent that is not positive.
     """
-    d = _within(duty, 0.5, "duty")
+    d = _within(duty, FULL_DUTY, "duty")
     return np.sin(np.pi * d) ** (0.5 * _positive(exponent))
 
 

@@ -7,13 +7,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.stimulus.duty_law import relative_pressure
+from palmfield.stimulus.duty_law import FULL_DUTY, relative_pressure
 from palmfield.types import Float
 
 TableFrame = Literal["array", "skin", "world"]
 Quantity = Literal["duty", "amplitude", "arp"]
 Between = Literal["held", "linear"]
-FULL_DUTY = 0.5
 SOONER_S = 1e-9
 """A row less than this ahead is treated as reached, like ticks of `schedule`."""
 

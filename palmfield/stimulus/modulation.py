@@ -14,14 +14,12 @@ import scipy  # which loads its parts when they are used
 
 from palmfield.config import StimulusConfig
 from palmfield.errors import SceneError
-from palmfield.stimulus.duty_law import duty_cycle, relative_pressure
+from palmfield.stimulus.duty_law import FULL_DUTY, duty_cycle, relative_pressure
 from palmfield.stimulus.waveform import Samples, Waveform, period_s, samples, waveform_of
 from palmfield.types import Float
 
 POWERS = {"duty": 0, "amplitude": 2, "arp": 1}
 """Exponent p with the ARP proportional to quantity^p; 0 if it is not a power law."""
-FULL_DUTY = 0.5
-"""Duty of maximum amplitude; beyond it the amplitude decreases."""
 ROUNDING = 1e-9
 SILENT = 1e-9
 """Share of full drive below which an amplitude is treated as silence."""

@@ -26,7 +26,7 @@ import numpy as np
 
 from palmfield.errors import MeasurementError, SceneError, did_you_mean
 from palmfield.input_files import read_bytes, reading
-from palmfield.instruments.scan import UNITS, Quantity, Scan
+from palmfield.instruments.scan import SIGHTS, UNITS, Quantity, Scan
 from palmfield.tables import read_table
 from palmfield.types import Float
 
@@ -34,7 +34,6 @@ HEADINGS = ("Source File Name", "Point Index", "Component", "Signal")
 QUANTITIES: dict[str, Quantity] = {"Vib Velocity": "velocity", "Vib Displacement": "displacement"}
 PLACES = "places.csv"
 COLUMNS = ("point", "x_m", "y_m", "z_m")
-SIGHTS = ("sight_x", "sight_y", "sight_z")
 ENCODINGS = ("utf-8-sig", "cp1252")
 
 

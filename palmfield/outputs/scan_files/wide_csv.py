@@ -21,12 +21,11 @@ import numpy as np
 
 from palmfield.errors import MeasurementError, did_you_mean, naming, refuse_unknown
 from palmfield.input_files import regular
-from palmfield.instruments.scan import QUANTITIES, UNITS, Quantity, Scan
+from palmfield.instruments.scan import QUANTITIES, SIGHTS, UNITS, Quantity, Scan
 from palmfield.tables import UNREADABLE, numbers_in
 from palmfield.whole_files import writing
 
 PLACES = ("x_m", "y_m", "z_m")
-SIGHTS = ("sight_x", "sight_y", "sight_z")
 
 
 def read_csv(file: Path) -> Scan:
