@@ -17,6 +17,7 @@ from palmfield.simulation.sensors import SkinReading, channels
 from palmfield.simulation.step import Steps
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.focal_points import FocalPoints
+from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.schedule import Moments
 
 
@@ -47,7 +48,8 @@ def test_stages_meet_in_types_of_their_own(stage, takes, gives):
     [EmittedCourse, Frames, FocalPoints, HandPose, Moments, SkinReading, StepTrace, SurfaceLoads, SurfaceSound],
 )
 def test_what_is_handed_on_is_immutable_with_typed_parts(handed):
-    fields = get_type_hints(handed)
+    # Modules that few scenes need are not imported for their types
+    fields = get_type_hints(handed, localns={FocusTable.__name__: FocusTable})
     if dataclasses.is_dataclass(handed):
         assert handed.__dataclass_params__.frozen
         names = [field.name for field in dataclasses.fields(handed)]
