@@ -62,15 +62,48 @@ class Scene(NamedTuple):
     others: list[trimesh.Trimesh]
 
 
-def render_scene(result: xr.DataTree, path: Path, size: tuple[int, int] = (960, 720)) -> None:
+class Image(NamedTuple):
+    """Objects as a camera sees them. image: sRGB, shape (height, width, 3), in [0, 1]"""
+
+    scene: Scene
+    camera: Camera
+    image: Float
+
+
+def render_scene(
+    result: xr.DataTree, path: Path, image: Image | None = None, size: tuple[int, int] = (960, 720)
+) -> None:
     """Draw a PNG of arrays and bodies, coloured by peak pressure amplitude at the loudest moments.
 
     result: of `open_result` or `tree`, with arrays and a surface that has loudest_pressure
-    size: width and height [pixels]
+    image: `scene_image` of the result, made now if None; size: width and height [pixels]
     Poses are those of the loudest moment of all skins. The camera looks obliquely along the emission of the first
     array: it sees the insonified side of the body, and the array from behind, through its board. With several arrays,
     the direction is that in which they hide least of the sound. Raises OutputError without data to show and if `path`
     cannot be written.
+    """
+    scene, camera, pixels = image or scene_image(result, size)
+    height, width = pixels.shape[:2]
+    with style():
+        figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
+        picture = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        picture.imshow(pixels, interpolation="none", aspect="auto", extent=(0, width, height, 0))
+        picture.set_axis_off()
+        for stimulus in instances(result, "stimulus").values():
+            _draw_guides(picture, camera, scene, stimulus)
+        bar = figure.add_axes((0.91, 0.18, 0.016, 0.56))
+        scale = ScalarMappable(Normalize(0.0, max(scene.peak_Pa, 1e-9)), COLOURS)
+        figure.colorbar(scale, cax=bar).outline.set_visible(False)
+        bar.set_title("Pa", fontsize=8, loc="left", fontweight="normal")
+        figure.text(0.025, 0.955, "Peak sound pressure on the surface", fontsize=12, fontweight="bold", va="center")
+        figure.text(0.025, 0.915, _caption(result, scene), fontsize=8.5, color="#555555", va="center")
+        save(figure, path, DPI)
+
+
+def scene_image(result: xr.DataTree, size: tuple[int, int] = (960, 720)) -> Image:
+    """Return the objects of `render_scene` in its view; a thread can do this while another one draws.
+
+    Raises its OutputError without data to show.
     """
     scene = _scene(result)
     parts = [part for pose, positions in scene.arrays.values() for part in array_parts(positions, pose)]
@@ -82,21 +115,7 @@ def render_scene(result: xr.DataTree, path: Path, size: tuple[int, int] = (960, 
     level = np.concatenate([pressure for _, pressure in scene.bodies]) / max(scene.peak_Pa, 1e-9)
     solids = np.concatenate([painted.vertices, *(part.mesh.vertices for part in parts)])
     camera = _camera(scene, painted, level, solids, (0.0, 0.09 * height, 0.9 * width, 0.91 * height))
-    image = cast(painted, level, parts, camera, size, quality=(SUPERSAMPLING, AMBIENT_RAYS))
-    with style():
-        figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
-        picture = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        picture.imshow(image, interpolation="none", aspect="auto", extent=(0, width, height, 0))
-        picture.set_axis_off()
-        for stimulus in instances(result, "stimulus").values():
-            _draw_guides(picture, camera, scene, stimulus)
-        bar = figure.add_axes((0.91, 0.18, 0.016, 0.56))
-        scale = ScalarMappable(Normalize(0.0, max(scene.peak_Pa, 1e-9)), COLOURS)
-        figure.colorbar(scale, cax=bar).outline.set_visible(False)
-        bar.set_title("Pa", fontsize=8, loc="left", fontweight="normal")
-        figure.text(0.025, 0.955, "Peak sound pressure on the surface", fontsize=12, fontweight="bold", va="center")
-        figure.text(0.025, 0.915, _caption(result, scene), fontsize=8.5, color="#555555", va="center")
-        save(figure, path, DPI)
+    return Image(scene, camera, cast(painted, level, parts, camera, size, quality=(SUPERSAMPLING, AMBIENT_RAYS)))
 
 
 def _scene(result: xr.DataTree) -> Scene:

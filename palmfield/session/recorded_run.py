@@ -5,6 +5,7 @@ import logging
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -35,17 +36,25 @@ from palmfield.terminal import bars
 LOG = logging.getLogger("palmfield.session")
 
 
-def _drawn_by(module: str, function: str, tree: xr.DataTree, path: Path) -> None:
+def _drawn_by(module: str, function: str, *given: Any) -> Any:
     """Call a function of `palmfield.outputs`, so that Matplotlib and OpenUSD are loaded after the steps."""
-    getattr(import_module(f"palmfield.outputs.{module}"), function)(tree, path)
+    return getattr(import_module(f"palmfield.outputs.{module}"), function)(*given)
 
 
-PICTURES: tuple[tuple[str, Callable[[Any, Path], None]], ...] = (
+def _scene_image(tree: xr.DataTree) -> Any:
+    with phase("scene.png"):
+        return _drawn_by("render", "scene_image", tree)
+
+
+PICTURES: tuple[tuple[str, Callable[..., None]], ...] = (
     ("pressure.png", partial(_drawn_by, "plots", "plot_pressure")),
     ("displacement.png", partial(_drawn_by, "plots", "plot_displacement")),
-    ("scene.png", partial(_drawn_by, "render", "render_scene")),
     ("scene.usdc", partial(_drawn_by, "usd.write", "write_usd")),
+    ("scene.png", partial(_drawn_by, "render", "render_scene")),
 )
+"""Functions of a result, a path, and the value of the name's function in BESIDE."""
+BESIDE: dict[str, Callable[[Any], Any]] = {"scene.png": _scene_image}
+"""Work for a picture that a thread does while others are drawn: casting rays leaves Python's lock to them."""
 CONVENTIONS = {
     "time_factor": "e^{-i w t}: a delay is +phase",
     "pressure": "complex peak amplitude of the incident field [Pa]",
@@ -240,17 +249,18 @@ def draw(
             files |= {f"plots/{path.name}": path for path in drawn.values()}
         except (OutputError, MeasurementError) as error:
             LOG.warning("no picture %s: %s", kind, error)
-    for name, make in PICTURES:
-        if (plots is not None and name.endswith(".png")) or (not usd and name.endswith(".usdc")):
-            continue
-        bar.update(task, description=f"writing {name}")
-        try:
-            with phase("plots" if name.endswith(".png") else "USD"), phase(name):
-                make(tree, out / name)
-            files[name] = out / name
-        except OutputError as error:
-            LOG.warning("no %s: %s", name, error)
-        bar.advance(task)
+    wanted = {name: make for name, make in PICTURES if (plots is None if name.endswith(".png") else usd)}
+    with ThreadPoolExecutor(1, "palmfield-picture") as thread:
+        beside = {name: [thread.submit(begin, tree)] for name, begin in BESIDE.items() if name in wanted}
+        for name, make in wanted.items():
+            bar.update(task, description=f"writing {name}")
+            try:
+                with phase("plots" if name.endswith(".png") else "USD"), phase(name):
+                    make(tree, out / name, *(begun.result() for begun in beside.get(name, ())))
+                files[name] = out / name
+            except OutputError as error:
+                LOG.warning("no %s: %s", name, error)
+            bar.advance(task)
     return files
 
 
