@@ -8,11 +8,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from palmfield import cache
 from palmfield.estimate.array_inputs import stimulus_of
 from palmfield.hand.articulated import articulate
-from palmfield.hand.labels import PALM_AREAS, region_labels
+from palmfield.hand.labels import PALM_AREAS, REGIONS, region_labels
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import vertex_areas
@@ -209,13 +209,18 @@ def region_at(hand: str, point: Float) -> str:
 
     hand: name of a preset, or file; point: in the hand frame, at rest [m], shape (3,)
     """
-    names, labels, tree = _labelled(hand)
-    return names[int(labels[tree.query(point)[1]])]
+    vertices, labels = _labelled(hand)
+    return REGIONS[int(labels[np.linalg.norm(vertices - point, axis=1).argmin()])]
 
 
 @lru_cache(maxsize=8)
-def _labelled(hand: str) -> tuple[tuple[str, ...], Int, cKDTree]:
+def _labelled(hand: str) -> tuple[Float, Int]:
+    """Return the vertices of a hand [m], shape (n, 3), and the region number of each, shape (n,)."""
     preset = load_preset(hand)
-    surface = hand_surface(preset).surface
-    names, labels = region_labels(articulate(preset), surface)
-    return names, labels, cKDTree(surface.vertices)
+
+    def made() -> cache.Arrays:
+        surface = hand_surface(preset).surface
+        return {"vertices": surface.vertices, "labels": region_labels(articulate(preset), surface)[1]}
+
+    kept = cache.kept("regions", (preset,), made)
+    return kept["vertices"], kept["labels"]

@@ -75,14 +75,14 @@ class LevelCourse:
         self.window_s = WINDOW_PERIODS / self.frequencies_Hz[0]
         step = float(times[1] - times[0])
         self.count = max(1, int((times[-1] - times[0] + step) / self.window_s + 1e-6))
-        begins = times[0] + self.window_s * np.arange(self.count)
+        self._begin = float(times[0])
+        begins = self._begin + self.window_s * np.arange(self.count)
         self._starts = np.searchsorted(times, begins - 0.5 * step)
         self._ends = np.searchsorted(times, begins + self.window_s - 0.5 * step)
 
     def window_at(self, time_s: float) -> int:
         """Return the window that contains a time [s]; the last complete window for the rest at the end."""
-        begin = float(self._skin["time"].values[0])
-        return min(self.count - 1, max(0, int((time_s - begin) / self.window_s + 1e-9)))
+        return min(self.count - 1, max(0, int((time_s - self._begin) / self.window_s + 1e-9)))
 
     def levels(self, window: int) -> Float32:
         """Return levels [dB SL] in a window, shape (vertices,), at least FLOOR_DB."""

@@ -23,7 +23,7 @@ from palmfield.session.duration import step_count
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.skin.from_config import cutoff_Hz
+from palmfield.skin.from_config import cutoff_Hz, quarter_periods
 from palmfield.skin.materials.material import Material
 from palmfield.stimulus.schedule import frames_at, main_frequencies
 from palmfield.types import Float
@@ -321,10 +321,12 @@ def _own_mesh(skin: SkinModel, view: Preview) -> list[str]:
 
 def _below_cutoff(model: HapticModel, number: int) -> list[str]:
     skin = model.skins[number]
-    cutoff = cutoff_Hz(skin.spec.config, skin.layer.sheets, float(np.median(skin.layer.patch.depth)))
+    sheets, depth_m = skin.layer.sheets, float(np.median(skin.layer.patch.depth))
     frequencies = main_frequencies(model.stimuli[stimulus_of(model, number)].config)
-    low = [f for f in frequencies if cutoff is not None and f < cutoff]
-    if not low:
+    # Without the cut-off itself, for which SciPy would load its optimizers in 0.1 s
+    low = [f for f in frequencies if f > 0.0 and quarter_periods(sheets, depth_m, f) < 1.0]
+    cutoff = cutoff_Hz(skin.spec.config, sheets, depth_m) if low else None
+    if cutoff is None:
         return []
     layer = "the skin layer" if len(model.skins) == 1 else f"the skin layer of '{skin.spec.name}'"
     return [

@@ -46,10 +46,17 @@ def slowest(sheets: tuple[Sheet, ...], f_Hz: float) -> Material:
     return min((sheet.material for sheet in sheets), key=lambda material: shear_wave(material, f_Hz)[0])
 
 
-def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
-    """Frequency at which a shear wave takes a quarter of a period through a layer of this depth [m] [Hz].
+def quarter_periods(sheets: tuple[Sheet, ...], depth_m: float, f_Hz: float) -> float:
+    """Return the time of a shear wave through a layer of this depth [m], in quarters of a period of f_Hz.
 
-    Below it a layer bonded to a rigid base guides no wave; c_s / 4h of one material
+    Below 1 a layer bonded to a rigid base guides no wave.
+    """
+    times = [sheet.thickness_m * depth_m / shear_wave(sheet.material, f_Hz)[0] for sheet in sheets]
+    return 4.0 * f_Hz * sum(times)
+
+
+def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
+    """Frequency at which `quarter_periods` of a layer of this depth [m] is 1 [Hz]; c_s / 4h of one material
     (`palmfield.skin.materials.dispersion.cutoff`).
     """
     from palmfield.skin.materials.dispersion import cutoff
@@ -57,8 +64,7 @@ def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
     slow = min(cutoff(sheet.material, sheet.thickness_m * depth_m) for sheet in sheets)
 
     def excess(f_Hz: float) -> float:
-        times = [sheet.thickness_m * depth_m / shear_wave(sheet.material, f_Hz)[0] for sheet in sheets]
-        return 4.0 * f_Hz * sum(times) - 1.0
+        return quarter_periods(sheets, depth_m, f_Hz) - 1.0
 
     return float(scipy.optimize.brentq(excess, 1e-3 * slow, 1.000001 * slow))
 
