@@ -71,12 +71,12 @@ class Image(NamedTuple):
 
 
 def render_scene(
-    result: xr.DataTree, path: Path, image: Image | None = None, size: tuple[int, int] = (960, 720)
+    result: xr.DataTree, path: Path, size: tuple[int, int] = (960, 720), image: Image | None = None
 ) -> None:
     """Draw a PNG of arrays and bodies, coloured by peak pressure amplitude at the loudest moments.
 
     result: of `open_result` or `tree`, with arrays and a surface that has loudest_pressure
-    image: `scene_image` of the result, made now if None; size: width and height [pixels]
+    size: width and height [pixels]; image: `scene_image` of the result, made now if None
     Poses are those of the loudest moment of all skins. The camera looks obliquely along the emission of the first
     array: it sees the insonified side of the body, and the array from behind, through its board. With several arrays,
     the direction is that in which they hide least of the sound. Raises OutputError without data to show and if `path`

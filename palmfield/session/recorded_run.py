@@ -36,9 +36,9 @@ from palmfield.terminal import bars
 LOG = logging.getLogger("palmfield.session")
 
 
-def _drawn_by(module: str, function: str, *given: Any) -> Any:
+def _drawn_by(module: str, function: str, *given: Any, **more: Any) -> Any:
     """Call a function of `palmfield.outputs`, so that Matplotlib and OpenUSD are loaded after the steps."""
-    return getattr(import_module(f"palmfield.outputs.{module}"), function)(*given)
+    return getattr(import_module(f"palmfield.outputs.{module}"), function)(*given, **more)
 
 
 def _scene_image(tree: xr.DataTree) -> Any:
@@ -52,9 +52,9 @@ PICTURES: tuple[tuple[str, Callable[..., None]], ...] = (
     ("scene.usdc", partial(_drawn_by, "usd.write", "write_usd")),
     ("scene.png", partial(_drawn_by, "render", "render_scene")),
 )
-"""Functions of a result, a path, and the value of the name's function in BESIDE."""
+"""Functions of a result and a path, and of an `image` if BESIDE has the name."""
 BESIDE: dict[str, Callable[[Any], Any]] = {"scene.png": _scene_image}
-"""Work for a picture that a thread does while others are drawn: casting rays leaves Python's lock to them."""
+"""Images that a thread makes while other pictures are drawn: casting rays leaves Python's lock to them."""
 CONVENTIONS = {
     "time_factor": "e^{-i w t}: a delay is +phase",
     "pressure": "complex peak amplitude of the incident field [Pa]",
@@ -251,12 +251,12 @@ def draw(
             LOG.warning("no picture %s: %s", kind, error)
     wanted = {name: make for name, make in PICTURES if (plots is None if name.endswith(".png") else usd)}
     with ThreadPoolExecutor(1, "palmfield-picture") as thread:
-        beside = {name: [thread.submit(begin, tree)] for name, begin in BESIDE.items() if name in wanted}
+        beside = {name: thread.submit(begin, tree) for name, begin in BESIDE.items() if name in wanted}
         for name, make in wanted.items():
             bar.update(task, description=f"writing {name}")
             try:
                 with phase("plots" if name.endswith(".png") else "USD"), phase(name):
-                    make(tree, out / name, *(begun.result() for begun in beside.get(name, ())))
+                    make(tree, out / name, **({"image": beside[name].result()} if name in beside else {}))
                 files[name] = out / name
             except OutputError as error:
                 LOG.warning("no %s: %s", name, error)

@@ -165,7 +165,7 @@ SCENE = np.s_[50:, :390]
 def test_render_shows_the_pressure(tmp_path, whole, keep):
     # Without the focus, whose guide lines are drawn over the spot.
     loud = keep(whole, ("palm",), ("below",), ())
-    render_scene(tree(loud), tmp_path / "hot.png", size=(480, 360))
+    render_scene(tree(loud), tmp_path / "hot.png", (480, 360))
     render_scene(tree(_silent(loud, ["/surface/palm"])), tmp_path / "cold.png", (480, 360))
     hot, cold = (_picture(tmp_path / f"{name}.png", (480, 360)) for name in ("hot", "cold"))
     changed = np.abs(hot[SCENE] - cold[SCENE]).max(axis=2) > 0.2
