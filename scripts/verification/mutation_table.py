@@ -536,8 +536,8 @@ MUTATIONS = (
         "peak for rms",
         "SPL",
         "palmfield/outputs/summary.py",
-        "math.log10(peak_Pa / math.sqrt(2.0) / REFERENCE_PA)",
-        "math.log10(peak_Pa / REFERENCE_PA)",
+        "level_dB(peak_Pa / math.sqrt(2.0))",
+        "level_dB(peak_Pa)",
         "tests/outputs/test_summary.py::test_levels_are_rms_over_20_micropascal",
     ),
     Mutation(
