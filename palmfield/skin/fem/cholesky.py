@@ -19,7 +19,7 @@ from palmfield.types import Float, Int
 from warp_kernels import block_solves as kernels
 from warp_kernels.supernodes import WIDTH, lanes
 
-FEW, CHUNK = 4, 64
+FEW, CHUNK = 4, 128
 """Columns up to which each goes by itself, and that go together at most."""
 
 

@@ -16,8 +16,9 @@ motion by loads of the class at all frequencies is known. The sums of modes with
 decomposition in the frequency domain: Willcox & Peraire, AIAA J. 40, 2002) are turned to modes once more.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,7 @@ from scipy import linalg, sparse
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.materials.material import Material
 from palmfield.skin.reduction.load_shapes import in_gap
+from palmfield.threads import cores, share
 from palmfield.types import Complex, Float, Float32
 
 if TYPE_CHECKING:
@@ -44,8 +46,8 @@ COUPLED_Hz = 200.0, 50.0, 800.0
 """Frequencies at which that change is measured; for one law only at the first."""
 UNCOUPLED_Hz = 100.0
 """Frequency at which modes are not coupled: between the start or end of a stimulus and its modulation."""
-CHUNK = 256
-"""Columns or rows of a product that are held at a time."""
+CHUNK, LONG = 256, 2048
+"""Vectors, and rows of vectors, of a product that a thread takes at a time: fixed, so that threads change no sums."""
 FREQUENCIES_Hz: Float = np.concatenate([[0.0], np.geomspace(20.0, 4000.0, 32)])
 """Frequencies at which models are compared."""
 HIGHEST_Hz = 4000.0
@@ -145,8 +147,14 @@ def ritz_modes(
     pushed = np.asarray(space.T @ (forces * sizes).astype(np.float32), dtype=np.float64)
     seen = surface @ space
     answers: list[Complex] = []
+    pairs: dict[int, tuple[Float, Float]] = {}
+
+    def solve(order: int) -> None:
+        pairs[order] = np.linalg.eigh(total[:order, :order])
+
+    share([(partial(solve, order),) for order in ends[-2:]], cores())
     for order in ends[-2:]:
-        values, turn = np.linalg.eigh(total[:order, :order])
+        values, turn = pairs.pop(order)
         kept = values < (2.0 * np.pi * HIGHEST_Hz) ** 2
         values, turn = values[kept], turn[:, kept]
         diagonals = [np.einsum("ik,ik->k", turn, matrix[:order, :order] @ turn) for matrix in own]
@@ -182,10 +190,8 @@ def ritz_modes(
     change = np.sqrt(changes[0] ** 2 + changes[1] ** 2 + (coupling * motion) ** 2)
     change *= TOGETHER if len(materials) > 1 else 1.0
     turning = turn.astype(np.float32)
-    for start in range(0, len(space), CHUNK):
-        rows = slice(start, start + CHUNK)
-        space[rows, : turn.shape[1]] = space[rows] @ turning
-    vectors = np.ascontiguousarray(space[:, : turn.shape[1]])
+    vectors = np.empty((len(space), turn.shape[1]), np.float32)
+    _in_parts(len(space), CHUNK, lambda rows: np.matmul(space[rows], turning, out=vectors[rows]))
     between = np.zeros((len(coupled), turn.shape[1], turn.shape[1]), np.float32)
     for result, number in zip(between, coupled, strict=True):
         result[...] = modes.between(number)
@@ -329,30 +335,51 @@ def _lanczos(
         if number == 0:
             new = np.hstack([new, also])
         basis = space[:, :count]
-        for _ in range(2):
-            new -= basis @ (basis.T @ (mass @ new).astype(np.float32))
-        squares, turn = np.linalg.eigh(new.T @ (mass @ new))
+        _remove(basis, new, mass @ new)
+        heavy = mass @ new
+        squares, turn = np.linalg.eigh(new.T @ heavy)
         kept = squares > PARALLEL**2 * squares.max()
         if count + int(kept.sum()) > space.shape[1]:
             break
         sizes = np.sqrt(squares[kept])
-        new = new @ (turn[:, kept] / sizes)
-        new -= basis @ (basis.T @ (mass @ new).astype(np.float32))
+        new, heavy = new @ (turn[:, kept] / sizes), heavy @ (turn[:, kept] / sizes)
+        # Again, because rounding left more of the basis in small directions
+        _remove(basis, new, heavy)
         space[:, count : count + new.shape[1]] = new
         count += new.shape[1]
         ends.append(count)
-        right = mass @ (new * (sizes / sizes.max()))
+        right = heavy * (sizes / sizes.max())
     return space[:, :count], ends
+
+
+def _remove(basis: Float32, vectors: Float, heavy: Float) -> None:
+    """Subtract from vectors, shape (n, m), in place, their part in an orthonormal basis; heavy: mass @ vectors."""
+    single = heavy.astype(np.float32)
+    shares = np.empty((basis.shape[1], vectors.shape[1]), np.float32)
+    _in_parts(len(shares), CHUNK, lambda part: np.matmul(basis[:, part].T, single, out=shares[part]))
+
+    def subtract(rows: slice) -> None:
+        vectors[rows] -= basis[rows] @ shares
+
+    _in_parts(len(vectors), LONG, subtract)
 
 
 def _projected(matrix: sparse.csr_matrix, space: Float32) -> Float:
     """space^T matrix space, symmetric, shape (r, r)."""
-    order = space.shape[1]
-    result = np.empty((order, order))
-    for start in range(0, order, CHUNK):
-        columns = slice(start, min(start + CHUNK, order))
-        result[:, columns] = space.T @ (matrix @ space[:, columns]).astype(np.float32)
-    return 0.5 * (result + result.T)
+    result = np.empty((space.shape[1],) * 2)
+
+    def project(part: slice) -> None:
+        # The lower triangle only
+        result[part.start :, part] = space[:, part.start :].T @ (matrix @ space[:, part]).astype(np.float32)
+        result[part, part.start :] = result[part.start :, part].T
+
+    _in_parts(len(result), CHUNK, project)
+    return result
+
+
+def _in_parts(count: int, size: int, work: Callable[[slice], object]) -> None:
+    """Do work for all slices of a size of a range, on all cores."""
+    share([(partial(work, slice(first, min(first + size, count))),) for first in range(0, count, size)], cores())
 
 
 def _answers(materials: Sequence[Material], rigidities: Float, pushed: Float, seen: Float) -> Complex:
