@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
-from palmfield.hand.triangles import edge_lengths, numbered_edges
+from palmfield.hand.triangles import closest_on_each, edge_lengths, numbered_edges
 from palmfield.types import Float, Int, Surface
 
 EDGE_POINTS = 5
@@ -150,15 +150,13 @@ def _with_places(surface: Surface, places: tuple[tuple[int, Float], ...]) -> tup
 
 def _faces_at(surface: Surface, nearby: NDArray[np.int64], points: Float) -> list[int]:
     """Return for each point, shape (n, 3), the nearest of some faces."""
-    from trimesh.triangles import closest_point
-
     corners = surface.vertices[surface.faces[nearby]]
     centres = corners.mean(axis=1)
     reach = 1.001 * float(np.linalg.norm(corners - centres[:, None], axis=2).max())
     hits = cKDTree(centres).query_ball_point(points, reach)
     which = np.repeat(np.arange(len(points)), [len(hit) for hit in hits])
     tried = np.concatenate(hits).astype(np.int64)
-    # In millimetres, because the tolerance of trimesh is absolute
-    distance = np.linalg.norm(closest_point(1e3 * corners[tried], 1e3 * points[which]) - 1e3 * points[which], axis=1)
+    # In millimetres, because the tolerance at edges is absolute
+    distance = np.linalg.norm(closest_on_each(1e3 * corners[tried], 1e3 * points[which]) - 1e3 * points[which], axis=1)
     order = np.lexsort((distance, which))
     return nearby[tried[order[np.unique(which[order], return_index=True)[1]]]].tolist()

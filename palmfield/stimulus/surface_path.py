@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import SceneError
 from palmfield.hand.geodesic import Piece, shortest_way
-from palmfield.hand.triangles import face_normals, numbered_edges, vertex_normals
+from palmfield.hand.triangles import closest_on_each, face_normals, numbered_edges, vertex_normals
 from palmfield.stimulus.curves import PlanePath, folded, zigzag_about
 from palmfield.types import Float, Int, Surface
 
@@ -211,11 +211,9 @@ def _check(surface: Surface) -> None:
 
 def _nearest(surface: Surface, point: Float, name: str) -> tuple[int, Float]:
     """Return the face and the point of the surface nearest to a point."""
-    from trimesh.triangles import closest_point
-
-    # In millimetres, because in metres the absolute tolerance of trimesh is too large for small triangles
+    # In millimetres, because in metres the absolute tolerance at edges is too large for small triangles
     corners, points = 1e3 * surface.vertices[surface.faces], np.tile(1e3 * point, (len(surface.faces), 1))
-    feet = 1e-3 * closest_point(corners, points)
+    feet = 1e-3 * closest_on_each(corners, points)
     distance = np.linalg.norm(feet - point, axis=1)
     face = int(np.argmin(distance))
     if distance[face] > REACH_m:
