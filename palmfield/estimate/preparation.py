@@ -13,6 +13,7 @@ import warp.geometry  # defines its kernels
 from palmfield import cache
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.field import FieldEvaluator
+from palmfield.acoustics.point_sound import ROWS
 from palmfield.device import load_ahead, load_kernels, resolve
 from palmfield.outputs.summary import summary
 from palmfield.session.open_scene import Options
@@ -28,11 +29,14 @@ from warp_kernels import (
     mesh_query,
     modes,
     path_drives,
+    point_sound,
+    products,
     raycast,
     resultants,
     sdf,
     selfcross,
     shadow,
+    skin_steps,
     skinning,
     supernodes,
     transfer,
@@ -45,7 +49,11 @@ ON_CPU = (
     sdf, mesh_query, skinning, selfcross, arp, shadow, wedge, elimination, supernodes, block_solves, modes, transfer,
     raycast,
 )  # fmt: skip
-ON_GPU = (world_steps, resultants, carried_points, path_drives, arp, raycast)
+ON_GPU = (
+    point_sound, world_steps, skin_steps, arp, carried_points, resultants, path_drives, transfer, products, raycast,
+)  # fmt: skip
+STATE_ROWS = 4
+"""Numbers of the state of a mode of the palm: displacement, velocity, acceleration, one relaxing branch."""
 COMPILED = (".o", ".cubin", ".ptx")
 
 
@@ -70,8 +78,9 @@ def prepare(scene: Path | None, *, only_kernels: bool = False, **options: Unpack
         modules = kernel_modules()
         load_ahead(modules, "cpu")
         if (where := resolve(device)) != "cpu":
-            load_ahead(ON_GPU, where)
-            for module in ON_GPU:
+            of_gpu = gpu_modules(where)
+            load_ahead(of_gpu, where)
+            for module in of_gpu:
                 load_kernels(module, where)
         if scene is not None and not only_kernels:
             sim = Simulation(scene, **options)
@@ -97,6 +106,14 @@ def kernel_modules() -> list[Any]:
         accurate.kernel("quadratic", True, faced=True),
     ]  # fmt: skip
     return [*ON_CPU, cubes, *(kernel.module for kernel in of_sound)]
+
+
+def gpu_modules(device: str) -> list[Any]:
+    """Return the modules of kernels that runs of shipped scenes launch on a GPU, the slowest to compile first."""
+    field = FieldEvaluator(layout("sonicsurface"), Air(), device)
+    kernels = [point_sound.fields(rows, gpu=True) for rows in (ROWS, 1)]
+    kernels += [field.kernel("quadratic", True, faced=True), skin_steps.lone_modes(STATE_ROWS)]
+    return [*(kernel.module for kernel in kernels), *ON_GPU]
 
 
 def _folder() -> Path:
