@@ -192,8 +192,12 @@ def arp_columns(
     weights: wp.vec3,
     first: int,
     result: wp.array(dtype=wp.float32, ndim=2),
+    peaks: wp.array(dtype=wp.float32, ndim=2),
 ):
-    """Compute the ARP [Pa] from a row of eight blocks, see `matrix`, one point and frame per thread, on a GPU."""
+    """Compute the ARP [Pa] from a row of eight blocks, see `matrix`, one point and frame per thread, on a GPU.
+
+    peaks: amplitudes of the pressures [Pa], of the shape of the result, or None
+    """
     frame, k = wp.tid()
     count = parts.shape[1] / 8
     s_re = parts[frame, count + k]
@@ -205,3 +209,5 @@ def arp_columns(
         parts[frame, k], parts[frame, 4 * count + k], parts[frame, 3 * count + k], parts[frame, 7 * count + k],
         along2, weights,
     )  # fmt: skip
+    if peaks:
+        peaks[first + frame, k] = wp.length(wp.vec2(parts[frame, k], parts[frame, 4 * count + k]))

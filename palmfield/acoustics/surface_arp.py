@@ -250,11 +250,14 @@ class SurfaceArp:
                 result[:] = arp_frames(evaluator, points, normals, drives, self.law)
                 return result
             transfer = self._transfer = Transfer(evaluator, points, normals)
+        if self._gpu:
+            peaks: Any = None if amplitudes is None else wp.empty(result.shape, wp.float32, self.field.device)
+            result[:] = transfer.arp_on_gpu(drives, self.law, peaks).numpy()
+            if amplitudes is not None:
+                amplitudes[:] = peaks.numpy()
+            return result
         if amplitudes is not None:
             amplitudes[:] = np.abs(transfer.pressure(drives))
-        if self._gpu:
-            result[:] = transfer.arp_on_gpu(drives, self.law).numpy()
-            return result
         return transfer.arp(drives, self.law, out=result)
 
     def _stored_matrix(self, points: Float | Float32, normals: Float | Float32) -> Any:

@@ -14,7 +14,7 @@ from palmfield.acoustics.arp import ArpLaw, arp, law_named, law_weights, unit_no
 from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall
 from palmfield.acoustics.groups import axes
 from palmfield.blas import one_blas_thread
-from palmfield.device import SharedArray, available_bytes, matrix_product, recorded, run_kernel
+from palmfield.device import SharedArray, available_bytes, launch, matrix_product, recorded, run_kernel
 from palmfield.errors import PalmfieldError
 from palmfield.threads import pool, share
 from palmfield.types import Complex, Float, Float32
@@ -182,8 +182,11 @@ class Transfer:
                     if count > 0 and width > 0 and (count, width, weights) not in room.launches:
                         room.record(count, width, weights)
 
-    def arp_on_gpu(self, drives: ArrayLike, law: str | ArpLaw = "default") -> Any:
-        """Return the result of `arp` on the GPU of the evaluator, as a Warp array of shape (frames, points)."""
+    def arp_on_gpu(self, drives: ArrayLike, law: str | ArpLaw = "default", peaks: Any = None) -> Any:
+        """Return the result of `arp` on the GPU of the evaluator, as a Warp array of shape (frames, points).
+
+        peaks: Warp array of this shape for the amplitudes of the pressures [Pa], or None
+        """
         weights = wp.vec3(*law_weights(law, self.evaluator.air))
         left, basis = self.reduced(drives)
         device = self.evaluator.device
@@ -197,8 +200,8 @@ class Transfer:
         for first in range(0, len(left), step):
             rows = stacked[first : min(first + step, len(left))]
             matrix_product(rows, right, parts[: rows.shape[0]], device)()
-            inputs = [parts, weights, first, result]
-            run_kernel(kernels.arp_columns, dim=(rows.shape[0], self.points), inputs=inputs, device=device)
+            inputs = [parts, weights, first, result, peaks]
+            launch(kernels.arp_columns, (rows.shape[0], self.points), inputs, device)()
         return result
 
     def _gpu_matrix(self, basis: NDArray[np.complex64] | None) -> Any:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,13 @@ from palmfield.drive.board import Board, play
 from palmfield.errors import DeviceError, SceneError, naming
 from palmfield.locked import next_serial
 from palmfield.stimulus.focal_points import FocalPoints
+from palmfield.threads import python_threads, share
 from palmfield.types import Array, Complex, Float, Int
 
 Bool = NDArray[np.bool_]
 
+FOCI = 64
+"""Number of foci whose drives one thread computes together."""
 KEPT = 32
 """Number of cached unit drives: a path that rests at few points returns to each of them."""
 
@@ -178,6 +181,16 @@ class ArrayDrive:
         points = points.reshape(len(points), -1, 3)
         if len(focal_points.offsets) or self.board.line is not None or self.correction is not None:
             return self._one_by_one(points, focal_points, group, audible)
+        if len(points) > FOCI:  # in parts, of which each thread computes some
+            parts = [slice(first, first + FOCI) for first in range(0, len(points), FOCI)]
+            drives = np.empty((len(points), self.count), np.complex128)
+
+            def some(own: slice) -> None:
+                loud = None if audible is None else audible[own]
+                drives[own] = self.unit_drives(points[own], focal_points, group, loud)
+
+            share([(partial(some, own),) for own in parts], python_threads())
+            return drives
         foci = focal_points.along(points.reshape(-1, 3)).reshape(points.shape)
         mine = group if group is None or self.everything else group[self.chosen]
         x, y, z = (foci if mine is None else foci[:, mine]).transpose(2, 0, 1)

@@ -175,7 +175,12 @@ def _commanded(
     audible = levels > 0.0
     if not np.logical_or.reduce(audible, axis=None):
         return np.zeros((len(points), drive.count), np.complex128)
-    drives = drive.unit_drives(points, focal_points, group, audible)
+    if len(points) > 1 and np.logical_and.reduce(points == points[:1], axis=None):
+        # A focus at rest: one drive serves all moments
+        anywhere = np.logical_or.reduce(audible, axis=0, keepdims=True)
+        drives = np.tile(drive.unit_drives(points[:1], focal_points, group, anywhere), (len(points), 1))
+    else:
+        drives = drive.unit_drives(points, focal_points, group, audible)
     # Boards with unrounded levels do not need this call in every step
     if drive.rounds_levels and not len(focal_points.offsets) and (drive.arp_peak_Pa is None or len(points) == 1):
         full = drive.amplitude if drive.arp_peak_Pa is None else drive.unit_drive_at(focal_points, points[0, 0]).level

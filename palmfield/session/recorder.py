@@ -37,10 +37,12 @@ TOGETHER = 64
 """Largest number of MuJoCo steps whose data are computed together."""
 WAITING_BYTES, WAITING_s = 8_000_000, 2.0
 """Largest size of the motion of the skins in them, and longest time that they wait: a killed process loses them."""
+AHEAD = 32
+"""Number of coming steps that a device may compute together while nothing moves."""
 ROWS = 64
 """Number of substeps whose motion is computed in one product."""
 FEW = 112
-"""Largest number of drives whose fields are computed together; more would use a formula with other rounding."""
+"""Largest number of drives whose fields a CPU computes together; more would use a formula with other rounding."""
 
 
 class Sink(Protocol):
@@ -67,7 +69,8 @@ class Recorded(NamedTuple):
     motions: of each skin after each substep: displacement [m] and velocity [m/s], shape (s, 2, 3 S), or their
         coordinates, shape (s, 2, r), and the matrix (r, 3 S).
     pressed: of each skin: numbers of force samples and mean ARP there [Pa], None in silence.
-    step: arrays along `step_time`.
+    start_s: of the step, MuJoCo time. forces: on the parts of each body [N], and torques [N m], shape (2, b, 3)
+    bodies: poses of all MuJoCo bodies, shape (bodies, 7). sensors: values of each sensor
     """
 
     times: Float
@@ -75,7 +78,10 @@ class Recorded(NamedTuple):
     emitted: Emitted
     motions: list[tuple[Float | Float32, Float | None]]
     pressed: "list[tuple[Int, Float] | None]"
-    step: Block
+    start_s: float
+    forces: list[Float]
+    bodies: Float
+    sensors: list[Float]
 
     def goes_on(self, last: "Recorded") -> bool:
         """Return whether pose, kind of emission and coordinates are those of the last step."""
@@ -107,7 +113,7 @@ class Recorder:
 
     loudest: by skin, the moment of the highest ARP so far, None without sound
     peak_drive: largest commanded amplitude of each transducer so far, relative to full drive, shape (N,)
-    begun_s: MuJoCo time at the start [s]
+    begun_s, end_s: MuJoCo time at the start, and at the end if it is known before the start [s]
     turns: for each stimulus, the times at which the phases between its foci jumped
     """
 
@@ -130,7 +136,7 @@ class Recorder:
         self._together = 1 if runtime.work.emission.holds else min(together, 1 + WAITING_BYTES // size)
         self._waiting: list[Recorded] = []
         self._written_at = time.monotonic()
-        self.begun_s = 0.0
+        self.begun_s, self.end_s = 0.0, np.inf
         self._sensors = [
             (sensor.name, sensor.data) for skin in runtime.binding.skins for sensor in world.sensors(skin.instance)
         ]
@@ -150,10 +156,12 @@ class Recorder:
         block = self._block(np.array([now_s]), posed, emitted_at(course, np.array([0])), motions)
         self.sink.append(block)
         self.runtime.steps.observer = self._observe
+        self.runtime.steps.look_ahead(AHEAD if self._together > 1 else 1, self.end_s)
 
     def stop(self) -> None:
         """Write the last steps, and end the observation."""
         self.runtime.steps.observer = None
+        self.runtime.steps.look_ahead(1)
         self.runtime.work.observe, self.runtime.work.in_coordinates = (None,) * len(self.model.skins), False
         self._write()
 
@@ -172,19 +180,11 @@ class Recorder:
             matrix = self.runtime.work.coordinates(number, stepper)
             motions.append((seen.astype(np.float32) if matrix is None else seen.copy(), matrix))
         emitted = emitted_at_ends(self.runtime.work.emission, trace, self.model.step_s)
-        step: Block = {"/": {"step_time": np.array([self.world.time - self.model.spec.timestep_s - self.begun_s])}}
-        frame = posed.array_frame
-        for array, placement in zip(self.model.spec.arrays, posed.arrays.placements, strict=True):
-            own = placement.transform
-            step[group("array", array.name)] = {
-                "pose": pose7(frame.points(own.position), frame.rotation @ own.rotation)[None]
-            }
-        for skin in self.model.skins:
-            self._add_body(step, skin.spec.name, skin.body, posed)
-        step[group("mujoco", MUJOCO_SCENE)] = {"pose": self._body_poses()[None]}
-        for name, data in self._sensors:
-            step[group("sensors", name)] = {"value": data[None].copy()}
-        self._waiting.append(Recorded(trace.times, posed, emitted, motions, self._pressed(posed), step))
+        start_s = self.world.time - self.model.spec.timestep_s
+        forces = [np.array(parts) for parts in self.runtime.applied_parts]
+        sensors = [data.copy() for _, data in self._sensors]
+        pressed, bodies = self._pressed(posed), self._body_poses()
+        self._waiting.append(Recorded(trace.times, posed, emitted, motions, pressed, start_s, forces, bodies, sensors))
         if len(self._waiting) >= self._together or time.monotonic() - self._written_at > WAITING_s:
             self._write()
 
@@ -205,7 +205,7 @@ class Recorder:
         steps, self._waiting, self._written_at = self._waiting, [], time.monotonic()
         if not steps:
             return
-        blocks, begin = [one.step for one in steps], 0
+        blocks, begin = list[Block](), 0
         for end in range(1, len(steps) + 1):
             if end == len(steps) or not steps[end].goes_on(steps[end - 1]):
                 blocks.append(self._in_one_pose(steps[begin:end]))
@@ -232,24 +232,40 @@ class Recorder:
         if serial == 0:
             drives = np.concatenate([one.emitted.drives for one in steps])
         factors = np.concatenate([one.emitted.factors for one in steps])
-        return self._block(times, steps[0].posed, Emitted(drives, factors, serial), motions)
+        block = self._block(times, steps[0].posed, Emitted(drives, factors, serial), motions)
+        self._add_steps(block, steps)
+        return block
 
-    def _add_body(self, block: Block, name: str, number: int, posed: PosedScene) -> None:
-        runtime, frame = self.runtime, posed.array_frame
-        body = posed.bodies[number]
+    def _add_steps(self, block: Block, steps: Sequence[Recorded]) -> None:
+        """Add the data along `step_time` of steps in one pose."""
+        posed, count = steps[0].posed, len(steps)
+        block["/"]["step_time"] = np.array([one.start_s for one in steps]) - self.begun_s
+        frame = posed.array_frame
+        for array, placement in zip(self.model.spec.arrays, posed.arrays.placements, strict=True):
+            own = placement.transform
+            pose = pose7(frame.points(own.position), frame.rotation @ own.rotation)
+            block.setdefault(group("array", array.name), {})["pose"] = np.tile(pose, (count, 1))
+        for skin in self.model.skins:
+            forces = np.array([one.forces[skin.body] for one in steps])
+            self._add_body(block, skin.spec.name, posed, skin.body, forces[:, 0], forces[:, 1])
+        block[group("mujoco", MUJOCO_SCENE)] = {"pose": np.array([one.bodies for one in steps])}
+        for i, (name, _) in enumerate(self._sensors):
+            block[group("sensors", name)] = {"value": np.array([one.sensors[i] for one in steps])}
+
+    def _add_body(self, block: Block, name: str, posed: PosedScene, number: int, forces: Float, torques: Float) -> None:
+        """Add the poses of a body, and the forces and torques on its parts in each step, shape (steps, b, 3)."""
+        frame, body, count = posed.array_frame, posed.bodies[number], len(forces)
         rotation = frame.rotation @ body.frame.rotation
-        origin = frame.points(body.frame.position)
-        poses = {"pose": pose7(origin, rotation)[None]}
-        force, torque = runtime.applied_parts[number]
-        forces = {"force": force.sum(axis=0)[None]}
+        poses = {"pose": np.tile(pose7(frame.points(body.frame.position), rotation), (count, 1))}
+        of_body = {"force": forces.sum(axis=1)}
         arms = np.zeros((1, 3))
         if len(body.bone_positions):
             places = zip(body.bone_positions, body.bone_rotations, strict=True)
-            poses["bone_pose"] = np.array([pose7(position, turn) for position, turn in places])[None]
+            poses["bone_pose"] = np.tile([pose7(position, turn) for position, turn in places], (count, 1, 1))
             arms = body.bone_positions @ rotation.T
-            forces |= {"bone_force": force[None].copy(), "bone_torque": torque[None].copy()}
-        forces["torque"] = (torque + np.cross(arms, force)).sum(axis=0)[None]
-        block[group("body", name)], block[group("forces", name)] = poses, forces
+            of_body |= {"bone_force": forces, "bone_torque": torques}
+        of_body["torque"] = (torques + np.cross(arms, forces)).sum(axis=1)
+        block[group("body", name)], block[group("forces", name)] = poses, of_body
 
     # -- data of a block -----------------------------------------------------------------------------
 
@@ -258,7 +274,7 @@ class Recorder:
         for number, skin in enumerate(self.model.skins):
             motion = motions[number]
             sound = self._sound(posed, number, emitted, times)
-            normal = np.einsum("tsk,sk->ts", motion[0], skin.nodes[1].astype(np.float32))
+            normal = _along(motion[0], skin.nodes[1].astype(np.float32))
             block[group("skin", skin.spec.name)] = {
                 "displacement": motion[0], "normal_displacement": normal, "velocity": motion[1],
                 "arp": sound.arp, "pressure": sound.amplitude,
@@ -279,8 +295,9 @@ class Recorder:
                 (factors * unit.arp).astype(np.float32), (np.sqrt(factors) * unit.amplitude).astype(np.float32)
             )
         else:
-            parts = range(0, len(times), FEW)
-            few = [radiation.sounds(posed, number, emitted.drives[i : i + FEW], "nodes") for i in parts]
+            most = len(times) if self.runtime.steps.in_graph else FEW
+            parts = range(0, len(times), most)
+            few = [radiation.sounds(posed, number, emitted.drives[i : i + most], "nodes") for i in parts]
             sound = SurfaceSound(*map(np.concatenate, zip(*(one[:2] for one in few), strict=True)))
         arp = sound.arp
         peaks = arp.max(axis=1)
@@ -370,6 +387,17 @@ def _motion(parts: Sequence[tuple[Float | Float32, Float | None]]) -> Float32:
     with one_blas_thread:
         share(blocks, cores())
     return result.reshape(2, times, -1, 3)
+
+
+def _along(vectors: Float32, normals: Float32) -> Float32:
+    """Return the components of vectors (t, S, 3) along normals (S, 3), shape (t, S)."""
+    result = np.empty(vectors.shape[:2], np.float32)
+
+    def some(own: slice) -> None:
+        np.einsum("tsk,sk->ts", vectors[own], normals, out=result[own])
+
+    share([(partial(some, slice(i, i + ROWS)),) for i in range(0, len(vectors), ROWS)], cores())
+    return result
 
 
 def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compiled: mujoco.MjModel) -> Block:

@@ -122,6 +122,12 @@ class Radiation:
         field = self._shared.of(name, posed.arrays.serial, self._field, posed, skin, len(points))
         return self._sound[skin].sound((posed, skin, role, points, normals, None, field), drive)
 
+    def many_at(self, posed: PosedScene, skin: int, points: Float, normals: Float, drives: Complex) -> Float32:
+        """Return ARP as `at` does, for several drives of shape (m, N) and free sound; shape (m, n)."""
+        name = "field", skin, "probe", len(points)
+        field = self._shared.of(name, posed.arrays.serial, self._field, posed, skin, len(points))
+        return field.evaluate_many(points, normals, drives)
+
     def force(self, posed: PosedScene, body: int, arp: Float | Float32) -> Float:
         """Return forces [N] on the parts of a body and torques about their origins [N m], world axes, shape (2, b, 3).
 

@@ -44,9 +44,13 @@ def backends_of(
     for begin, end in pairwise(bounds):
         own, room_for = slice(begin, end), 0 if begin else len(models)
         moving.append(MovingWorlds(models[own], works[own], state.of(own), alone, begin, room_for))
-    others = moving if any(part.some for part in moving) else ()
+    others: Sequence[Backend] = moving if any(part.some for part in moving) else ()
     # The graphs read and write the state too
     host = (SceneGraph if len(models) == 1 else HostBackend)(models, works, state, alone and not others)
+    if not others and not alone and len(models) == 1:
+        from palmfield.simulation.still_steps import StillSteps
+
+        others = (StillSteps(models, works, state),)
     return others, host
 
 
@@ -118,6 +122,14 @@ class Steps:
             self.works[world].emission = emission
             for backend in self.backends:
                 backend.leave_out(world)
+
+    def look_ahead(self, most: int, end_s: float = np.inf) -> None:
+        """Let a backend compute up to `most` coming steps together, none after a time [s]; 1 ends it, and updates the
+        state."""
+        for backend in self.backends:
+            backend.most, backend.end_s = most, end_s
+        if most == 1:
+            self.fetch()
 
     def watch(self, skin: int, place: SensorPlace) -> None:
         """Compute the readings of a sensor here at the beginning of each step. Call it before the first step."""
