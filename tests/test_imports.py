@@ -82,6 +82,13 @@ def test_a_scene_without_a_cache_loads_few_lines():
     assert len(sources) > 100 and sum(len(source.read_text().splitlines()) for source in sources) <= MOST_LINES
 
 
+def test_a_run_loads_neither_dask_nor_optimizers(cache, tmp_path):
+    short = ["--duration", "0.002", "--estimate", "none", "--no-plots", "--no-usd"]
+    words = ["run", SCENE, "--out", str(tmp_path), *short]
+    here = loaded(COMMAND, *words, cache=cache)
+    assert "h5netcdf" in here and not here & {"dask.base", "dask.array", "scipy.optimize"}
+
+
 def test_a_recorded_run_loads_pictures_at_its_end():
     here = loaded("import palmfield; palmfield.run, palmfield.recover")
     assert "xarray" in here and not here & (PICTURES | {"trimesh"})
@@ -90,4 +97,4 @@ def test_a_recorded_run_loads_pictures_at_its_end():
 def test_pictures_and_usd_load_no_signal_processing():
     """scipy.signal takes half a second."""
     here = loaded("import palmfield.outputs.plots, palmfield.outputs.render, palmfield.outputs.usd.write")
-    assert {"matplotlib", "pxr"} < here and not here & {"scipy.signal", "scipy.stats"}
+    assert {"matplotlib", "pxr"} < here and not here & {"scipy.signal", "scipy.stats", "warp.geometry"}
