@@ -51,6 +51,17 @@ def test_shapes_are_orthonormal_and_their_sizes_those_of_the_examples():
     np.testing.assert_allclose(np.sqrt((shares**2).mean(axis=0)), made.sizes, rtol=1e-8)
 
 
+@pytest.mark.parametrize("tolerance", [0.1, 0.001, 1e-5])
+def test_shapes_are_the_leading_singular_vectors(tolerance):
+    examples, weights = spots()
+    made = load_shapes(examples, weights, tolerance)
+    count = len(made.sizes)
+    _, sizes, rows = np.linalg.svd(examples * np.sqrt(weights), full_matrices=False)
+    np.testing.assert_allclose(made.sizes, sizes[:count] / np.sqrt(len(examples)), rtol=1e-6)
+    flat = made.shapes * np.sqrt(weights)
+    assert np.linalg.norm(flat - (flat @ rows[:count].T) @ rows[:count]) < 1e-3
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 8), st.integers(0, 1000))
 def test_any_sum_of_few_shapes_is_told_by_its_points(count, seed):

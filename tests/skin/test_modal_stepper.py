@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from palmfield import cache
 from palmfield.errors import SceneError
@@ -18,6 +19,7 @@ from palmfield.skin.materials.material import Branch, Material, kelvin_voigt, st
 from palmfield.skin.reduction import modal_stepper
 from palmfield.skin.reduction.device_models import DeviceModes
 from palmfield.skin.reduction.modal_stepper import ModalStepper, modal_body
+from palmfield.skin.reduction.ritz import UNCOUPLED_Hz, laws_at
 from palmfield.skin.stepper import SurfaceLoads
 
 STEP = 2e-4
@@ -205,6 +207,23 @@ def test_a_bulk_that_gives_way_couples_modes_of_one_law(make_spot):
     displacement, _ = relative(march(stepper, course, soft)[0], truth)
     assert stepper.coupled and displacement < 0.03
     assert relative(march(without_coupling(stepper, soft), course, soft)[0], truth)[0] > displacement
+
+
+def test_modes_span_what_a_load_moves_of_the_dense_modes_and_never_lie_below_them(disc):
+    made = body(disc, blocks=20, left_out=1e-3)
+    vectors, system = made.modes.vectors.astype(float), disc.system
+    np.testing.assert_allclose(vectors.T @ (system.mass @ vectors), np.eye(vectors.shape[1]), atol=2e-6)
+    stiff = laws_at([part.material for part in system.parts], -2j * np.pi * UNCOUPLED_Hz).real[1]
+    total, mass = (system.elastic + stiff * system.parts[0].stiffness).toarray(), system.mass.toarray()
+    squares, dense = eigh(total, mass)
+    found = np.sort(made.modes.elastic + stiff * made.modes.stiffness[0])
+    # Courant and Fischer: the k-th value in a subspace is at least the k-th of all
+    assert (found > (1.0 - 1e-5) * squares[: len(found)]).all()
+    pushed = dense.T @ (disc.quadrature.operator @ made.shapes.shapes.T * made.shapes.sizes)
+    motion = np.linalg.norm(pushed, axis=1) / squares
+    rest = 1.0 - ((vectors.T @ (mass @ dense)) ** 2).sum(axis=0)
+    missed = np.sqrt((motion**2 * rest).sum() / (motion**2).sum())
+    assert missed < 0.01
 
 
 def test_weak_modes_that_are_left_out_cost_what_is_said(disc):

@@ -7,6 +7,7 @@ pressure need not be computed at every quadrature point. Empirical interpolation
 shapes and least squares between them.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +24,10 @@ MANY = 400
 BLOCK = 2048
 """Number of points converted to double precision at a time."""
 CLOSENESS = 0.003
-"""Share of the tolerance that the selected examples may omit from the others; the selection then has little
-effect."""
+"""Share of the tolerance that the examples with which the search for singular vectors begins may omit at most."""
+SPARE, TURNS = 1.25, 3
+"""Number of these examples, in terms of those that omit just the tolerance; and products with all examples, that turn
+their span to the singular vectors, so well that the points are those of exact ones."""
 LEVEL = 0.005
 """Relative difference of neighbouring singular values up to which they count as equal: all are kept, or none."""
 TIE = 1e-3
@@ -60,14 +63,14 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
     size = float(np.trace(products))
     if not size > 0.0:
         raise SceneError("the sound of the arrays does not reach the skin, so there are no sample loads for modes")
-    taken, shares = _taken(products, (CLOSENESS * tolerance) ** 2)
-    basis = scipy.linalg.solve_triangular(shares[taken], examples[taken] * root, lower=True)
-    values, turn = np.linalg.eigh(shares.T @ shares)
-    values, turn = values[::-1], turn[:, ::-1]
+    values, turn = _leading(products, tolerance)
     omitted = np.sqrt(np.maximum(1.0 - np.cumsum(values) / size, 0.0))
     most = int((values > 1e-12 * values[0]).sum())
     count = in_gap(np.sqrt(np.maximum(values[:most], 0.0)), int(np.searchsorted(-omitted, -tolerance)) + 1)
-    flat = _orthonormal(turn[:, :count].T @ basis)
+    flat = np.empty((count, len(root)))
+    for part in _blocks(len(root)):
+        flat[:, part] = turn[:, :count].T @ (examples[:, part] * root[part])
+    flat = _orthonormal(flat / np.sqrt(values[:count, None]))
     chosen, shapes = _telling_points(flat, points), flat / root
     turned, triangle = np.linalg.qr(shapes[:, chosen].T)
     fit = np.asarray(scipy.linalg.solve_triangular(triangle, turned.T), dtype=np.float64)
@@ -110,27 +113,35 @@ def _pivots(shapes: Float) -> Int:
 def _products(examples: Float | Float32, root: Float) -> Float:
     """Each with each of the examples (t, q) times root (q,), shape (t, t), a block of points at a time."""
     products: Float = np.zeros((len(examples), len(examples)))
-    for start in range(0, len(root), BLOCK):
-        points = slice(start, start + BLOCK)
-        block = examples[:, points] * root[points]
+    for part in _blocks(len(root)):
+        block = examples[:, part] * root[part]
         products += block @ block.T
     return products
 
 
-def _taken(products: Float, omitted: float) -> tuple[Int, Float]:
-    """Return rows that represent a set of similar rows, (r,), and all rows in their orthonormal basis, (t, r).
+def _blocks(count: int) -> list[slice]:
+    return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
 
-    products: each row with each, (t, t), overwritten. left_out: share of their squares. The rows are found by a pivoted
-    Cholesky factorisation.
+
+def _leading(products: Float, tolerance: float) -> tuple[Float, Float]:
+    """Return the leading eigenvalues, falling, (r,), and eigenvectors, (t, r), of a matrix of products (t, t).
+
+    More than those whose sums approximate the rows within the tolerance. Subspace iteration, from the columns of a
+    pivoted Cholesky factorisation.
     """
     squares = np.diagonal(products)
-    enough = max(omitted * squares.mean(), len(squares) * np.finfo(float).eps * squares.max())
-    # The matrix is symmetric, and its transpose has the layout for LAPACK without a copy
-    lower, pivots, rank, _ = scipy.linalg.lapack.dpstrf(products.T, tol=enough, lower=1, overwrite_a=1)
-    taken = pivots - 1
-    shares = np.empty((len(squares), rank))
-    shares[taken] = np.tril(lower[:, :rank])
-    return taken[:rank], shares
+    enough = max((CLOSENESS * tolerance) ** 2 * squares.mean(), len(squares) * np.finfo(float).eps * squares.max())
+    # The matrix is symmetric, and its transpose has the layout for LAPACK
+    lower, pivots, rank, _ = scipy.linalg.lapack.dpstrf(products.T, tol=enough, lower=1)
+    lower = np.tril(lower[:, :rank])
+    left = 1.0 - np.cumsum((lower**2).sum(axis=0)) / squares.sum()
+    turned = np.empty((len(squares), min(rank, math.ceil(SPARE * (1 + (left > tolerance**2).sum())) + 16)))
+    turned[pivots - 1] = lower[:, : turned.shape[1]]
+    for _ in range(TURNS):
+        basis = np.linalg.qr(turned)[0]
+        turned = products @ basis
+    values, turn = np.linalg.eigh(basis.T @ turned)
+    return values[::-1], basis @ turn[:, ::-1]
 
 
 def _orthonormal(rows: Float) -> Float:
