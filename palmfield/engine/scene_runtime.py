@@ -253,18 +253,24 @@ class SceneRuntime:
         for body in dict.fromkeys(number for parts in self.parts for part in parts for number in model.ancestors(part)):
             if model.raw.body_dofnum[body] > 0:
                 return f"body '{model.names('body')[body]}' has degrees of freedom, on which the sound acts"
-        others = sorted({plugin for _, plugin, _ in model.instances() if not plugin.startswith("palmfield.")})
-        return f"plugin '{others[0]}' may read sensors" if others else ""
+        return f"plugin '{self._others[0]}' may read sensors" if self._others else ""
+
+    @cached_property
+    def _others(self) -> list[str]:
+        """Return the plugins of other packages in the scene."""
+        return sorted({plugin for _, plugin, _ in self.view.model.instances() if not plugin.startswith("palmfield.")})
+
+    @property
+    def unseen(self) -> bool:
+        """Whether no other code, in a plugin or a callback of MuJoCo, can read the state in a step."""
+        names = "control", "passive", "sensor", "act_bias", "act_gain", "act_dyn"
+        return not (self._others or any(getattr(mujoco, f"get_mjcb_{name}")() for name in names))
 
     @property
     def may_gather(self) -> bool:
         """Whether steps may be gathered now: they move no body, and no sensor or other code reads them."""
         steps, watched = self.steps, any(one is not None for one in self.work.observe)
-        called = any(
-            getattr(mujoco, f"get_mjcb_{name}")()
-            for name in ("control", "passive", "sensor", "act_bias", "act_gain", "act_dyn")
-        )
-        return not (self.feedback or watched or called or steps.observer is not None or steps.in_graph)
+        return self.unseen and not (self.feedback or watched or steps.observer is not None or steps.in_graph)
 
     def advance(self) -> None:
         """Advance transducers and skins by the last MuJoCo step, with the pose at its beginning."""

@@ -156,7 +156,8 @@ class Recorder:
         block = self._block(np.array([now_s]), posed, emitted_at(course, np.array([0])), motions)
         self.sink.append(block)
         self.runtime.steps.observer = self._observe
-        self.runtime.steps.look_ahead(AHEAD if self._together > 1 else 1, self.end_s)
+        if self._together > 1 and self.runtime.unseen:
+            self.runtime.steps.look_ahead(AHEAD, self.end_s)
 
     def stop(self) -> None:
         """Write the last steps, and end the observation."""

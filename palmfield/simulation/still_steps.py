@@ -5,6 +5,7 @@ and sensor readings of that step; if its bodies move after all, the rest of the 
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,7 @@ CARRIED = 4
 class Carried(NamedTuple):
     """Motion of a skin in the steps. patterns: ARP, (1, p, q); first, last: their weights, (1, N s, p)
 
-    states: after each CARRIED steps, and before the first, (1, state_size) each
+    before, after: the state, (1, state_size)
     seen: what is observed after each substep, as coordinates, (N s, 2, r)
     """
 
@@ -42,7 +43,8 @@ class Carried(NamedTuple):
     patterns: Float32
     first: Float
     last: Float
-    states: list[Float]
+    before: Float
+    after: Float
     seen: Float
 
 
@@ -96,10 +98,10 @@ class StillSteps(Backend):
             return
         self.state.set_emission(slice(None), block.emitted[self._done][None])
         for skin, of in enumerate(block.skins):
-            whole, rest = divmod(self._done, CARRIED)
-            after = of.states[-1] if self._done == len(block.starts) - 1 else of.states[whole].copy()
-            if rest and after is not of.states[-1]:
-                self._carry(of, after, block, whole * CARRIED, self._done)
+            after = of.after
+            if self._done < len(block.starts) - 1:
+                after = of.before.copy()
+                self._carry(of, after, block, 0, self._done)
             claim(self.model, self.state, skin, of.stepper)
             stepper_of(self.model, self.state, skin)[1][:] = after
 
@@ -216,12 +218,10 @@ class StillSteps(Backend):
         role: Role = "quadrature" if stepper.points is None else "load"
         patterns = self.work.radiation.patterns(block.posed, skin, role, block.course)
         first, last = block.course.weights(moments)
-        states, seen, count = [numbers.copy()], list[Float](), len(block.starts) - 1
-        of = Carried(stepper, patterns, first, last, states, np.zeros(0))
-        for begin in range(0, count, CARRIED):
-            states.append(states[-1].copy())
-            seen.append(self._carry(of, states[-1], block, begin, min(begin + CARRIED, count), skin))
-        return of._replace(seen=np.concatenate(seen))
+        count, after = len(block.starts) - 1, numbers.copy()
+        of = Carried(stepper, patterns, first, last, numbers.copy(), after, np.zeros(0))
+        bounds = pairwise([*range(0, count, CARRIED), count])
+        return of._replace(seen=np.concatenate([self._carry(of, after, block, *own, skin) for own in bounds]))
 
     def _carry(
         self, of: Carried, state: Float, block: Block, begin: int, end: int, observed: int | None = None
@@ -271,7 +271,7 @@ class StillSteps(Backend):
         of = block.skins[skin]
         reader = place.reader(of.stepper)
         later = of.seen[self.model.substeps - 1 :: self.model.substeps] @ reader.matrix
-        return np.concatenate([of.stepper.read(of.states[0], reader)[..., 0], later[:-1, :, 0]])
+        return np.concatenate([of.stepper.read(of.before, reader)[..., 0], later[:-1, :, 0]])
 
     # -- its end -------------------------------------------------------------------------------------------------------
 

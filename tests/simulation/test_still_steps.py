@@ -154,3 +154,13 @@ def test_a_state_that_other_code_writes_ends_the_block(
     alone, together = (recorded(sim, most, between=silence)["/skin/skin/arp"] for most in (1, TOGETHER))
     assert blocks[0] == AHEAD and len(blocks) == 3
     np.testing.assert_allclose(together, alone, 0.0, 3e-6 * alone.max())
+
+
+def test_a_callback_sees_the_state_of_each_step(opened: Callable[..., palmfield.Simulation], blocks: list[int]) -> None:
+    sim, seen = opened(), list[float]()
+    mujoco.set_mjcb_control(lambda model, data: seen.append(float(sim.runtime.state.skins[0][0, 2:].sum())))
+    try:
+        recorded(sim, TOGETHER, 8)
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert blocks == [] and len(set(seen)) > 7
