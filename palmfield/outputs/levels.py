@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from palmfield.errors import OutputError, refuse_unknown
-from palmfield.outputs.motion import normal_component
+from palmfield.outputs.motion import PIECE_BYTES, normal_component
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import has_records, instances
 from palmfield.perception.maps import felt_lines, level_map, lines_in, wanted_s
@@ -62,7 +62,7 @@ class LevelCourse:
     """Level above threshold at each vertex of a skin, by one observer, in successive windows of a run.
 
     frequencies_Hz: evaluated lines; window_s: length of a window, WINDOW_PERIODS periods of the lowest line. Each
-    window is assumed to be periodic, and each vertex is treated separately. Only one window is in memory.
+    window is assumed to be periodic, and each vertex is treated separately. The motion of only one window is in memory.
     """
 
     def __init__(self, skin: xr.Dataset, observer: str, frequencies_Hz: list[float]):
@@ -79,6 +79,7 @@ class LevelCourse:
         begins = self._begin + self.window_s * np.arange(self.count)
         self._starts = np.searchsorted(times, begins - 0.5 * step)
         self._ends = np.searchsorted(times, begins + self.window_s - 0.5 * step)
+        self._kept: dict[int, Float32] = {}
 
     def window_at(self, time_s: float) -> int:
         """Return the window that contains a time [s]; the last complete window for the rest at the end."""
@@ -86,11 +87,16 @@ class LevelCourse:
 
     def levels(self, window: int) -> Float32:
         """Return levels [dB SL] in a window, shape (vertices,), at least FLOOR_DB."""
+        if window in self._kept:
+            return self._kept[window]
         chosen = slice(int(self._starts[window]), int(self._ends[window]))
         normal = normal_component(self._skin, times=chosen)
         times = self._skin["time"].values[chosen].astype(float)
         found = level_map(self._observer, times, np.asarray(normal), self.frequencies_Hz)
-        return np.maximum(found, FLOOR_DB).astype(np.float32)
+        levels = np.maximum(found, FLOOR_DB).astype(np.float32)
+        if self.count * levels.nbytes <= PIECE_BYTES:
+            self._kept[window] = levels
+        return levels
 
 
 def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
