@@ -49,8 +49,8 @@ def _scene_image(tree: xr.DataTree) -> Any:
 PICTURES: tuple[tuple[str, Callable[..., None]], ...] = (
     ("pressure.png", partial(_drawn_by, "plots", "plot_pressure")),
     ("displacement.png", partial(_drawn_by, "plots", "plot_displacement")),
-    ("scene.usdc", partial(_drawn_by, "usd.write", "write_usd")),
     ("scene.png", partial(_drawn_by, "render", "render_scene")),
+    ("scene.usdc", partial(_drawn_by, "usd.write", "write_usd")),
 )
 """Functions of a result and a path, and of an `image` if BESIDE has the name."""
 BESIDE: dict[str, Callable[[Any], Any]] = {"scene.png": _scene_image}
@@ -250,18 +250,19 @@ def draw(
         except (OutputError, MeasurementError) as error:
             LOG.warning("no picture %s: %s", kind, error)
     wanted = {name: make for name, make in PICTURES if (plots is None if name.endswith(".png") else usd)}
+    made = set[str]()
     with ThreadPoolExecutor(1, "palmfield-picture") as thread:
         beside = {name: thread.submit(begin, tree) for name, begin in BESIDE.items() if name in wanted}
-        for name, make in wanted.items():
+        for name, make in sorted(wanted.items(), key=lambda one: one[0] in beside):
             bar.update(task, description=f"writing {name}")
             try:
                 with phase("plots" if name.endswith(".png") else "USD"), phase(name):
                     make(tree, out / name, **({"image": beside[name].result()} if name in beside else {}))
-                files[name] = out / name
+                made.add(name)
             except OutputError as error:
                 LOG.warning("no %s: %s", name, error)
             bar.advance(task)
-    return files
+    return files | {name: out / name for name in wanted if name in made}
 
 
 @phase("preparing")
