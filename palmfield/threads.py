@@ -104,6 +104,11 @@ def _helpers() -> "SimpleQueue[_Offer]":
     return waiting
 
 
+def in_parts(count: int, size: int, work: Callable[[slice], object]) -> None:
+    """Do work for all slices of a size of a range, on all cores. The slices don't depend on the number of cores."""
+    share([(functools.partial(work, slice(at, min(at + size, count))),) for at in range(0, count, size)], cores())
+
+
 def _help(waiting: "SimpleQueue[_Offer]") -> None:
     while True:
         offer, todo, done = waiting.get()

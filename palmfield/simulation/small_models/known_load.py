@@ -10,6 +10,7 @@ from fractions import Fraction
 import numpy as np
 
 from palmfield import cache
+from palmfield.blas import one_blas_thread
 from palmfield.config import StimulusConfig
 from palmfield.drive.transducer_response import commanded_drive
 from palmfield.simulation.emission import array_drives
@@ -165,7 +166,8 @@ def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
 
     def make() -> cache.Arrays:
         load, examples = known_load(model, skin, posed)
-        shapes = load_shapes(examples, layer.quadrature.weights, LEFT_OUT)
+        with one_blas_thread:
+            shapes = load_shapes(examples, layer.quadrature.weights, LEFT_OUT)
         del examples  # a third of a gigabyte
         fresh.append(reduced_stepper(layer.system, load, *reads, inputs, *wanted, shapes))
         marks = {"load": np.array(cache.digest(load)), "vectors": np.array(cache.digest(fresh[0].vectors))}

@@ -9,11 +9,13 @@ shapes and least squares between them.
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy  # loads its parts at first use
 
 from palmfield.errors import SceneError
+from palmfield.threads import in_parts
 from palmfield.types import Float, Float32, Int
 
 POINTS = 2
@@ -23,6 +25,8 @@ MANY = 400
 """From this number of shapes, pivoted QR takes seconds, and LU a tenth of that."""
 BLOCK = 2048
 """Number of points converted to double precision at a time."""
+ROWS = 512
+"""Rows of a product that a thread takes at a time."""
 CLOSENESS = 0.003
 """Share of the tolerance that the examples with which the search for singular vectors begins may omit at most."""
 SPARE, TURNS = 1.25, 3
@@ -68,8 +72,11 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
     most = int((values > 1e-12 * values[0]).sum())
     count = in_gap(np.sqrt(np.maximum(values[:most], 0.0)), int(np.searchsorted(-omitted, -tolerance)) + 1)
     flat = np.empty((count, len(root)))
-    for part in _blocks(len(root)):
+
+    def combine(part: slice) -> None:
         flat[:, part] = turn[:, :count].T @ (examples[:, part] * root[part])
+
+    in_parts(len(root), BLOCK, combine)
     flat = _orthonormal(flat / np.sqrt(values[:count, None]))
     chosen, shapes = _telling_points(flat, points), flat / root
     turned, triangle = np.linalg.qr(shapes[:, chosen].T)
@@ -113,14 +120,20 @@ def _pivots(shapes: Float) -> Int:
 def _products(examples: Float | Float32, root: Float) -> Float:
     """Each with each of the examples (t, q) times root (q,), shape (t, t), a block of points at a time."""
     products: Float = np.zeros((len(examples), len(examples)))
-    for part in _blocks(len(root)):
-        block = examples[:, part] * root[part]
-        products += block @ block.T
+
+    def multiply(rows: slice) -> None:
+        for start in range(0, len(root), BLOCK):
+            points = slice(start, start + BLOCK)
+            block = examples[: rows.stop, points] * root[points]
+            products[rows, : rows.stop] += block[rows] @ block.T
+        products[: rows.stop, rows] = products[rows, : rows.stop].T
+
+    in_parts(len(products), ROWS, multiply)
     return products
 
 
-def _blocks(count: int) -> list[slice]:
-    return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
+def _multiply(left: Float, right: Float, result: Float, rows: slice) -> None:
+    np.matmul(left[rows], right, out=result[rows])
 
 
 def _leading(products: Float, tolerance: float) -> tuple[Float, Float]:
@@ -139,7 +152,7 @@ def _leading(products: Float, tolerance: float) -> tuple[Float, Float]:
     turned[pivots - 1] = lower[:, : turned.shape[1]]
     for _ in range(TURNS):
         basis = np.linalg.qr(turned)[0]
-        turned = products @ basis
+        in_parts(len(products), ROWS, partial(_multiply, products, basis, turned))
     values, turn = np.linalg.eigh(basis.T @ turned)
     return values[::-1], basis @ turn[:, ::-1]
 

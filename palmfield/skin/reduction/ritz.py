@@ -16,7 +16,7 @@ motion by loads of the class at all frequencies is known. The sums of modes with
 decomposition in the frequency domain: Willcox & Peraire, AIAA J. 40, 2002) are turned to modes once more.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -27,7 +27,7 @@ from scipy import linalg, sparse
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.materials.material import Material
 from palmfield.skin.reduction.load_shapes import in_gap
-from palmfield.threads import cores, share
+from palmfield.threads import cores, in_parts, share
 from palmfield.types import Complex, Float, Float32
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ def ritz_modes(
     change *= TOGETHER if len(materials) > 1 else 1.0
     turning = turn.astype(np.float32)
     vectors = np.empty((len(space), turn.shape[1]), np.float32)
-    _in_parts(len(space), CHUNK, lambda rows: np.matmul(space[rows], turning, out=vectors[rows]))
+    in_parts(len(space), CHUNK, lambda rows: np.matmul(space[rows], turning, out=vectors[rows]))
     between = np.zeros((len(coupled), turn.shape[1], turn.shape[1]), np.float32)
     for result, number in zip(between, coupled, strict=True):
         result[...] = modes.between(number)
@@ -356,12 +356,12 @@ def _remove(basis: Float32, vectors: Float, heavy: Float) -> None:
     """Subtract from vectors, shape (n, m), in place, their part in an orthonormal basis; heavy: mass @ vectors."""
     single = heavy.astype(np.float32)
     shares = np.empty((basis.shape[1], vectors.shape[1]), np.float32)
-    _in_parts(len(shares), CHUNK, lambda part: np.matmul(basis[:, part].T, single, out=shares[part]))
+    in_parts(len(shares), CHUNK, lambda part: np.matmul(basis[:, part].T, single, out=shares[part]))
 
     def subtract(rows: slice) -> None:
         vectors[rows] -= basis[rows] @ shares
 
-    _in_parts(len(vectors), LONG, subtract)
+    in_parts(len(vectors), LONG, subtract)
 
 
 def _projected(matrix: sparse.csr_matrix, space: Float32) -> Float:
@@ -373,13 +373,8 @@ def _projected(matrix: sparse.csr_matrix, space: Float32) -> Float:
         result[part.start :, part] = space[:, part.start :].T @ (matrix @ space[:, part]).astype(np.float32)
         result[part, part.start :] = result[part.start :, part].T
 
-    _in_parts(len(result), CHUNK, project)
+    in_parts(len(result), CHUNK, project)
     return result
-
-
-def _in_parts(count: int, size: int, work: Callable[[slice], object]) -> None:
-    """Do work for all slices of a size of a range, on all cores."""
-    share([(partial(work, slice(first, min(first + size, count))),) for first in range(0, count, size)], cores())
 
 
 def _answers(materials: Sequence[Material], rigidities: Float, pushed: Float, seen: Float) -> Complex:
