@@ -167,6 +167,11 @@ class SkinConfig(Config):
         description="further bodies that cast shadows, with their geoms and those of their child bodies: body_sound "
         "shadows",
     )
+    focus_region_m: Annotated[float, Field(ge=0, le=0.5)] = Field(
+        0.02,
+        description="radius of the region in which elements are fine enough for a focus: all foci in it share one "
+        "mesh; 0: only around the focus or path of the stimulus",
+    )
     element_m: Positive | None = Field(None, description="fixes the element edge length at the focus")
     step_s: Positive | None = Field(
         None, description="fixes the time step of the skin; must divide the timestep of the scene"

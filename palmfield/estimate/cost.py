@@ -3,22 +3,20 @@
 from palmfield.simulation.model import SkinModel
 from palmfield.skin.costs import assembly_s, factor_s, vector_s
 from palmfield.skin.from_config import softest_and_stiffest_sheets
-from palmfield.skin.scene_layer import SceneLayer
 
 FINER = 1.25
 """Ratio of the element sizes to those of a finer mesh."""
 COARSER = 1.5
 """Ratio of the edges of a coarser mesh, with as many rows of elements, to those of the mesh."""
-FINER_BELOW, UNEVEN_FINER_BELOW = 10_000, 15_000
-"""Number of unknowns below which the other mesh is finer, because a coarser one has too few triangles under the spot.
-The second is for layers on bodies, whose depth varies."""
+FINER_BELOW = 10_000
+"""Number of unknowns below which the other mesh is finer: a coarser one has too few triangles under the spot."""
 VECTORS = 50
 """Approximate number of vectors of the reduced model of one point."""
 
 
-def compares_with_finer(layer: SceneLayer, dofs: int) -> bool:
+def compares_with_finer(dofs: int) -> bool:
     """Return whether the error estimate of a layer with `dofs` unknowns uses a finer instead of a coarser mesh."""
-    return dofs < (FINER_BELOW if layer.config.shape == "disc" else UNEVEN_FINER_BELOW)
+    return dofs < FINER_BELOW
 
 
 def estimate_s(skin: SkinModel) -> float:
@@ -29,7 +27,7 @@ def estimate_s(skin: SkinModel) -> float:
     if skin.solver.own_mesh:
         # The time of the solver includes its own estimate.
         return (1 + edge) * _model_s(dofs) + materials * assembly_s(dofs) if edge or materials else 0.0
-    if compares_with_finer(skin.layer, dofs):
+    if compares_with_finer(dofs):
         return (1 + edge) * _model_s(dofs) + _model_s(FINER**3 * dofs) + materials * assembly_s(dofs)
     # The estimate uses the reduced model of a predicted load
     own, low = _model_s(dofs) if skin.choice.solver.any_pose else 0.0, dofs / COARSER**2

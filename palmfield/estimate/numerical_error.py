@@ -94,7 +94,7 @@ def error_estimate(
     layer, stepper = model.skins[skin].layer, model.begin[skin].value
     small = None if stepper.adds_error is None else stepper
     sound, point = LoudestSound(model, skin, loudest, radiation), place_under_focus(model, skin, loudest)
-    finer = thorough or compares_with_finer(layer, layer.system.ndof)
+    finer = thorough or compares_with_finer(layer.system.ndof)
     ends = softest_and_stiffest_sheets(layer.config) if materials else None
     config = model.stimuli[stimulus_of(model, skin)].config
     lasted_s = float(np.clip(course.end_s - config.start_s, model.spec.timestep_s, LONGEST_COURSE_S))

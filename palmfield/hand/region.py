@@ -153,6 +153,7 @@ def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
         )
     # Morphological opening (erode, then dilate) by spike_m; the slack of the grid keeps smooth boundaries unchanged
     opened = step_m * scipy.ndimage.distance_transform_edt(core != home) - spike_m - step_m
+    opened[core == home] = -region.radius_m  # deep inside, the boundary itself is what limits the distance
     distance = np.maximum(distance, opened)
     from contourpy import contour_generator
 

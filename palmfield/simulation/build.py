@@ -1,11 +1,12 @@
 """Build the model of a scene from its spec. All parts of a model are made and connected in this file."""
 
+import math
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -52,9 +53,13 @@ if TYPE_CHECKING:
 
 LEAST_FREQUENCY_Hz = 200.0
 """Mesh and time step resolve at least this frequency, unless key max_frequency_Hz sets another."""
-NEAR = 0.25
-"""A focus nearer to the middle of a layer than this share of the spot width is meshed as if at the middle."""
+BANDS_AN_OCTAVE, BEYOND = 2, 1.07
+"""Meshes are made for the upper end of a band, so that its frequencies share them; the end serves frequencies of up to
+BEYOND times its own too, since the rules for the sizes are less exact than this."""
 MOST_MODELS = 8
+RIM = 0.6
+"""Share of the spot width by which fine elements reach less far around a focus at the rim of a region than around a
+focus with a mesh of its own: half of the spot is still inside."""
 _lock = threading.RLock()
 _models: list[HapticModel] = []
 _kept: "list[tuple[SceneLayer, Lazy[WedgeStepper]]]" = []
@@ -337,17 +342,27 @@ def demands_of(
         frequencies = main_frequencies(stimulus.config)
         highest = skin.config.max_frequency_Hz
         if highest is None:
-            highest = max([LEAST_FREQUENCY_Hz, *frequencies])
+            highest = band_end(max(frequencies, default=LEAST_FREQUENCY_Hz))
         spot_m = spot_fwhm(arrays, board, stimulus)
-        beside, reach = path_reach(stimulus, skin, body, spot_m)
+        place, reach = path_reach(stimulus, skin, body)
+        beside, widest_m = place.beside, skin.config.radius_m or skin.config.patch_radius_m or max(reach, 4.0 * spot_m)
+        if skin.moves or float(np.linalg.norm(beside)) >= widest_m:
+            beside = np.zeros(3)
+        elif place.off_m < spot_m:
+            # The spot at the middle of the layer, so that the mesh is the same for all foci of a region
+            middle = skin.body.transform.points(np.array(skin.patch_centre))
+            spot_m = spot_fwhm(arrays, board, stimulus, middle)
+        offset, near_m = fine_region(beside, reach, skin.config.focus_region_m)
+        if skin.config.focus_region_m:
+            near_m -= RIM * spot_m
         demand = LayerDemand(
             spot_fwhm_m=spot_m,
             max_frequency_Hz=highest,
             main_frequency_Hz=next(iter(frequencies), 0.5 * highest),
-            path_reach_m=reach,
+            path_reach_m=(near_m, reach),
             timestep_s=spec.timestep_s,
             corner_Hz=max(corner_Hz(one, spot_m) for one in stimuli),
-            offset_m=beside,
+            offset_m=offset,
         )
         demands.append(demand)
     return demands
@@ -406,13 +421,38 @@ def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
     return step_s
 
 
-def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> float:
-    """Return the full width at half maximum of |p|^2 at a stimulus's first focus, along the x axis of the array [m]."""
-    focus = stimulus.first_focus
+def band_end(f_Hz: float) -> float:
+    """Return the frequency for which a mesh is made that shall serve one [Hz], at least LEAST_FREQUENCY_Hz."""
+    bands = BANDS_AN_OCTAVE * math.log2(max(f_Hz / BEYOND, LEAST_FREQUENCY_Hz) / LEAST_FREQUENCY_Hz)
+    return float(LEAST_FREQUENCY_Hz * 2.0 ** (math.ceil(bands - 1e-9) / BANDS_AN_OCTAVE))
+
+
+def fine_region(beside: Float, reach_m: float, region_m: float) -> tuple[tuple[float, float, float], float]:
+    """Return middle (from the middle of the layer) and radius of the region where elements are fine [m].
+
+    beside: from the middle of the layer to that of the foci, shape (3,); reach_m: of the foci from there; region_m: key
+        focus_region_m, least radius. If the foci leave this region about the middle of the layer, the middle of the
+        region is the nearest point of a grid with this spacing, so that foci near each other share a region.
+    """
+    if not region_m:
+        return tuple(beside.tolist()), reach_m
+    cell = np.zeros(3)
+    if np.linalg.norm(beside) + reach_m > region_m:
+        cell = region_m * np.round(beside / region_m)
+    left = (reach_m + float(np.linalg.norm(beside - cell))) / region_m
+    return tuple(cell.tolist()), region_m * max(1, math.ceil(left - 1e-9))
+
+
+def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel, at: Float | None = None) -> float:
+    """Return the full width at half maximum of |p|^2 at the first focus, along the x axis of the array [m].
+
+    at: another focus of the same transducers, shape (3,) [m], there at full drive
+    """
     config = stimulus.config
+    focus = stimulus.first_focus if at is None else at
     # For a silent stimulus: the spot that it would have
-    drive = ArrayDrive(arrays, stimulus.transducers, config.arp_peak_Pa, peak_amplitude(config) or 1.0, board)
-    amplitudes = drive.unit_drive(focus).amplitudes
+    level = (config.arp_peak_Pa, peak_amplitude(config) or 1.0) if at is None else (None, 1.0)
+    amplitudes = ArrayDrive(arrays, stimulus.transducers, *level, board).unit_drive(focus).amplitudes
     offsets, peak = np.linspace(0.0, 0.06, 241), None
     # The line is searched in pieces: most spots end in the first
     for offset in np.array_split(offsets, 8):
@@ -425,19 +465,22 @@ def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> flo
     return 2 * float(offsets[-1])
 
 
-def path_reach(
-    stimulus: StimulusModel, skin: SkinSpec, body: BodyModel, spot_m: float
-) -> tuple[tuple[float, float, float], tuple[float, float]]:
-    """Return the distance from layer middle to path (or focus) middle, and the path's greatest distance from both [m].
+class PathPlace(NamedTuple):
+    """Place of the middle of a path (or of the focus) on a layer.
 
-    The first is 0 for three cases: a path on the skin, which is measured from the middle of the layer; a skin that
-    moves; and a focus that is less than NEAR of its spot away, or that misses the layer.
+    beside: of the nearest point of the skin, from the middle of the layer, shape (3,) [m]; off_m: distance from it [m]
     """
+
+    beside: Float
+    off_m: float
+
+
+def path_reach(stimulus: StimulusModel, skin: SkinSpec, body: BodyModel) -> tuple[PathPlace, float]:
+    """Return the place of the path (or focus) and its reach from there [m]; of a path on the skin from the middle."""
     centre = np.array(skin.patch_centre)
     if stimulus.path is not None and body.surface is not None:
         places, _ = stimulus.path.at(stimulus.path.arc_m, body.surface.vertices, body.surface.faces)
-        reach = float(np.linalg.norm(places - centre, axis=1).max())
-        return (0.0, 0.0, 0.0), (reach, reach)
+        return PathPlace(np.zeros(3), 0.0), float(np.linalg.norm(places - centre, axis=1).max())
     middle, foci = np.array(stimulus.config.focus_m), np.reshape(stimulus.config.foci_m, (-1, 3))[:, :2]
     reach = float(np.hypot(*foci.T).max(initial=0.0))
     path = plane_path(stimulus.config)
@@ -449,14 +492,9 @@ def path_reach(
         reach += 0.5 * stimulus.config.path_diameter_m
     elif path is not None:
         reach += float(np.hypot(*path.points.T).max())
-    focus = stimulus.spec.frame.transform.points(middle)
-    beside = _on_skin(body, skin.body.transform.inverse_points(focus)) - centre
-    away = float(np.linalg.norm(beside))
-    widest = skin.config.radius_m or skin.config.patch_radius_m or max(reach, 4.0 * spot_m)
-    if skin.moves or not NEAR * spot_m < away < widest:
-        return (0.0, 0.0, 0.0), (reach, reach)
-    x, y, z = beside.tolist()
-    return (x, y, z), (reach, reach)
+    focus = skin.body.transform.inverse_points(stimulus.spec.frame.transform.points(middle))
+    nearest = _on_skin(body, focus)
+    return PathPlace(nearest - centre, float(np.linalg.norm(focus - nearest))), reach
 
 
 def _on_skin(body: BodyModel, point: Float) -> Float:

@@ -1,5 +1,7 @@
 """Sheets, base and sides of a scene's skin layer, and its cut-off in the plan."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
@@ -152,8 +154,8 @@ BOX = {"shape": "mesh", "mesh": "box.obj", "mesh_unit": "mm", "patch_site": "cen
 
 @pytest.mark.parametrize("skin", [{"radius_m": 0.04, "element_m": 0.004}, BOX], ids=["disc", "patch"])
 def test_elements_are_fine_where_the_focus_is(small_scene, skin) -> None:
-    """A focus 17 mm beside the middle of a layer: edges there are as asked, and wider on the other side."""
-    path = small_scene(stimulus={"focus_m": "0.015 0.008 0.12"}, skin=skin)
+    """A focus 17 mm beside the middle of a layer: edges there are as given, and wider on the other side."""
+    path = small_scene(stimulus={"focus_m": "0.015 0.008 0.12"}, skin={**skin, "focus_region_m": 0})
     box = trimesh.creation.box((90, 90, 30))
     box.apply_translation((0, 0, -15))
     box.export(path.with_name("box.obj"))
@@ -167,3 +169,24 @@ def test_elements_are_fine_where_the_focus_is(small_scene, skin) -> None:
     opposite = edges[np.linalg.norm((middles + focus)[:, :2], axis=1) < layer.demand.spot_fwhm_m]
     assert near.mean() == pytest.approx(layer.sizes.edge_fine_m, rel=0.15)
     assert opposite.mean() > 1.3 * near.mean()
+
+
+@pytest.mark.parametrize("skin", [{"radius_m": 0.08, "element_m": None}, {**BOX, "patch_radius_m": 0.04}])
+def test_foci_of_a_region_frequencies_of_a_band_and_levels_share_a_mesh(small_scene, skin) -> None:
+    """Within 20 mm of the middle; outside, foci near each other share one too, with fine elements around them."""
+    at = {"focus_m": "0 0 0.12", "am_frequency_Hz": 180.0}
+    path = small_scene(stimulus=at, skin=skin)
+    box = trimesh.creation.box((180, 180, 30))
+    box.apply_translation((0, 0, -15))
+    box.export(path.with_name("box.obj"))
+
+    def mesh(**changed: Any) -> Any:
+        keys = {f"stimulus.{key}": value for key, value in changed.items()}
+        return load(path, keys=keys).runtime.model.skins[0].layer.patch.vertices
+
+    middle = mesh()
+    for other in ({"focus_m": (0.012, -0.009, 0.12)}, {"am_frequency_Hz": 160.0}, {"arp_peak_Pa": 5.0}):
+        assert np.array_equal(mesh(**other), middle)
+    aside = mesh(focus_m=(0.034, 0.003, 0.12))
+    assert aside.shape != middle.shape
+    assert np.array_equal(mesh(focus_m=(0.036, -0.005, 0.12)), aside)

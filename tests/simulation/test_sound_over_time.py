@@ -130,7 +130,8 @@ def test_scattering_wants_one_focus_and_one_pole(small_scene):
 def test_shadows_and_scattering_on_a_flat_pad(small_scene):
     arp = {}
     for kind in ("none", "shadows", "scattering"):
-        felt, sim = arp_over_time(small_scene(stimulus=STEADY, array={"response": "off"}, skin={"body_sound": kind}), 3)
+        skin = {"body_sound": kind, "element_m": 0.002}
+        felt, sim = arp_over_time(small_scene(stimulus=STEADY, array={"response": "off"}, skin=skin), 3)
         arp[kind] = (felt[1], sim.data.sensordata[2])
     # A flat pad shades nothing of its lit face, and the loss at a dark back is none
     assert arp["shadows"] == pytest.approx(arp["none"], rel=1e-6)
