@@ -6,8 +6,8 @@ emitted since (up to 30 % in the millisecond of a ring-up, 4 % later), sound fro
 the mean of a moving focus keeps each moment's own lit points (0.06 % of the force of hover_explore). `path_commit`: the
 same for a path on the skin (stroke_palm), which is nearer to the shortest since (force 0.2 %, displacement 0.2 %).
 `mesh_commit`: the same (`--store`) for meshes that serve all foci of a region, and for outlines and depths of patches
-that do not follow the edges. Forces and ARP changed by at most 6e-4 then, the motion of these coarse layers by 0.1 to
-3 %, where a focus moves on the palm up to 64 %. With focus_region_m 0 the discs gave their old arrays.
+that do not follow the edges. Forces changed by at most 3e-4 and ARP by 3e-3 then, the motion of these coarse layers by
+0.2 to 3 %, where a focus moves on the palm by 15 to 65 %. With focus_region_m 0 the discs gave their old arrays.
 
 The solver, the mesh and the step are those that it took then. `small` layers take seconds and are a test; `shipped` are
 the scenes as they are, some minutes each: run this file.
