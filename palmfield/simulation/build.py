@@ -434,13 +434,16 @@ def fine_region(beside: Float, reach_m: float, region_m: float) -> tuple[tuple[f
         focus_region_m, least radius. If the foci leave this region about the middle of the layer, the middle of the
         region is the nearest point of a grid with this spacing, so that foci near each other share a region.
     """
+    middle, radius_m = np.zeros(3), reach_m
     if not region_m:
-        return tuple(beside.tolist()), reach_m
-    cell = np.zeros(3)
-    if np.linalg.norm(beside) + reach_m > region_m:
-        cell = region_m * np.round(beside / region_m)
-    left = (reach_m + float(np.linalg.norm(beside - cell))) / region_m
-    return tuple(cell.tolist()), region_m * max(1, math.ceil(left - 1e-9))
+        middle = beside
+    else:
+        if np.linalg.norm(beside) + reach_m > region_m:
+            middle = region_m * np.round(beside / region_m)
+        left = (reach_m + float(np.linalg.norm(beside - middle))) / region_m
+        radius_m = region_m * max(1, math.ceil(left - 1e-9))
+    x, y, z = middle.tolist()
+    return (x, y, z), radius_m
 
 
 def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel, at: Float | None = None) -> float:
