@@ -10,7 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.hand.grading import graded_size, triangulate
 from palmfield.hand.layer import depth_by_vertex, fit_thickness, inward_directions, mesh_report, wedge_quality
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces, exit_distances, over_plane
-from palmfield.hand.region import Region, Shape, facing_region, region_distance, trace_shape
+from palmfield.hand.region import Region, Shape, facing_region, trace_shape
 from palmfield.hand.triangles import face_normals, on_rim
 from palmfield.types import Float, Int, Patch, Surface
 
@@ -95,12 +95,8 @@ def _made(
     outward = _outward(surface, seed, origin) if facing is None else facing
 
     region = facing_region(surface, origin, seed, outward, radius_m)
-    if float(region_distance(region, np.zeros((1, 2)))[0]) > -NARROWEST * coarse_m:
-        raise SceneError(
-            f"the facing part of the surface around the patch centre is narrower than {2e3 * NARROWEST * coarse_m:.1f} "
-            "mm; move the centre inward, use a smaller coarse_m, or change `facing`"
-        )
-    shape = trace_shape(region, step_m=radius_m / STEPS, spike_m=min(SPIKE * radius_m, WIDEST_SPIKE_m))
+    spike_m = min(SPIKE * radius_m, WIDEST_SPIKE_m)
+    shape = trace_shape(region, radius_m / STEPS, spike_m, NARROWEST * coarse_m)
     x, y = (0.0, 0.0) if fine_at is None else (region.frame[:2] @ (fine_at - origin)).tolist()
     size = graded_size(fine_m, coarse_m, fine_radius_m, radius_m, (x, y))
     plane, faces = triangulate(shape, size, radius_m, (x, y))

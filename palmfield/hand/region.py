@@ -131,13 +131,13 @@ def _outline_distance(outline: Float, points: Float) -> Float:
     return out
 
 
-def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
+def trace_shape(region: Region, step_m: float, spike_m: float, least_m: float = 0.0) -> Shape:
     """Return the boundary loops of the region without spikes and necks narrower than 2 `spike_m`.
 
     The first loop is the outer one, around the origin; the others are holes. Loop points are on the boundary within
     rounding, except where a spike was cut.
 
-    Raises SceneError if the part around the centre is narrower than 2 `spike_m`.
+    Raises SceneError if the part around the centre is narrower than 2 `spike_m` or 2 `least_m`.
     """
     margin = 4.0 * step_m
     half = int(np.ceil((region.radius_m + margin) / step_m))
@@ -146,9 +146,10 @@ def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
     distance = region_distance(region, grid).reshape(len(x), len(x))
     core, _ = scipy.ndimage.label(distance < -spike_m)
     home = core[half, half]
-    if home == 0:
+    if home == 0 or distance[half, half] > -least_m:
+        narrow_mm = 2e3 * max(spike_m, least_m)
         raise SceneError(
-            f"the facing part of the surface around the patch centre is narrower than {2e3 * spike_m:.1f} mm; move "
+            f"the facing part of the surface around the patch centre is narrower than {narrow_mm:.1f} mm; move "
             "the centre inward, use a smaller coarse_m, or change `facing`"
         )
     # Morphological opening (erode, then dilate) by spike_m; the slack of the grid keeps smooth boundaries unchanged

@@ -344,22 +344,20 @@ def demands_of(
         if highest is None:
             highest = band_end(max(frequencies, default=LEAST_FREQUENCY_Hz))
         spot_m = spot_fwhm(arrays, board, stimulus)
-        place, reach = path_reach(stimulus, skin, body)
-        beside, widest_m = place.beside, skin.config.radius_m or skin.config.patch_radius_m or max(reach, 4.0 * spot_m)
+        beside, off_m, reach_m = path_place(stimulus, skin, body)
+        widest_m = skin.config.radius_m or skin.config.patch_radius_m or max(reach_m, 4.0 * spot_m)
         if skin.moves or float(np.linalg.norm(beside)) >= widest_m:
             beside = np.zeros(3)
-        elif place.off_m < spot_m:
+        elif off_m < spot_m:
             # The spot at the middle of the layer, so that the mesh is the same for all foci of a region
             middle = skin.body.transform.points(np.array(skin.patch_centre))
             spot_m = spot_fwhm(arrays, board, stimulus, middle)
-        offset, near_m = fine_region(beside, reach, skin.config.focus_region_m)
-        if skin.config.focus_region_m:
-            near_m -= RIM * spot_m
+        offset, near_m = fine_region(beside, reach_m, skin.config.focus_region_m, spot_m)
         demand = LayerDemand(
             spot_fwhm_m=spot_m,
             max_frequency_Hz=highest,
             main_frequency_Hz=next(iter(frequencies), 0.5 * highest),
-            path_reach_m=(near_m, reach),
+            path_reach_m=(near_m, reach_m),
             timestep_s=spec.timestep_s,
             corner_Hz=max(corner_Hz(one, spot_m) for one in stimuli),
             offset_m=offset,
@@ -427,21 +425,22 @@ def band_end(f_Hz: float) -> float:
     return float(LEAST_FREQUENCY_Hz * 2.0 ** (math.ceil(bands - 1e-9) / BANDS_AN_OCTAVE))
 
 
-def fine_region(beside: Float, reach_m: float, region_m: float) -> tuple[tuple[float, float, float], float]:
+def fine_region(
+    beside: Float, reach_m: float, region_m: float, spot_m: float
+) -> tuple[tuple[float, float, float], float]:
     """Return middle (from the middle of the layer) and radius of the region where elements are fine [m].
 
     beside: from the middle of the layer to that of the foci, shape (3,); reach_m: of the foci from there; region_m: key
-        focus_region_m, least radius. If the foci leave this region about the middle of the layer, the middle of the
-        region is the nearest point of a grid with this spacing, so that foci near each other share a region.
+        focus_region_m, least radius; spot_m: width of the spot, by whose share RIM the radius is smaller. If the foci
+        leave this region about the middle of the layer, the middle of the region is the nearest point of a grid with
+        this spacing, so that foci near each other share a region.
     """
-    middle, radius_m = np.zeros(3), reach_m
-    if not region_m:
-        middle = beside
-    else:
-        if np.linalg.norm(beside) + reach_m > region_m:
-            middle = region_m * np.round(beside / region_m)
+    middle, radius_m = beside, reach_m
+    if region_m:
+        outside = float(np.linalg.norm(beside)) + reach_m > region_m
+        middle = region_m * np.round(beside / region_m) if outside else np.zeros(3)
         left = (reach_m + float(np.linalg.norm(beside - middle))) / region_m
-        radius_m = region_m * max(1, math.ceil(left - 1e-9))
+        radius_m = region_m * max(1, math.ceil(left - 1e-9)) - RIM * spot_m
     x, y, z = middle.tolist()
     return (x, y, z), radius_m
 
@@ -469,21 +468,23 @@ def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel, at: Fl
 
 
 class PathPlace(NamedTuple):
-    """Place of the middle of a path (or of the focus) on a layer.
+    """Place of a path (or of the focus) on a layer.
 
-    beside: of the nearest point of the skin, from the middle of the layer, shape (3,) [m]; off_m: distance from it [m]
+    beside: of the point of the skin nearest to its middle, from the middle of the layer, shape (3,) [m]
+    off_m: distance of its middle from that point [m]; reach_m: largest distance of the path from its middle [m]
     """
 
     beside: Float
     off_m: float
+    reach_m: float
 
 
-def path_reach(stimulus: StimulusModel, skin: SkinSpec, body: BodyModel) -> tuple[PathPlace, float]:
-    """Return the place of the path (or focus) and its reach from there [m]; of a path on the skin from the middle."""
+def path_place(stimulus: StimulusModel, skin: SkinSpec, body: BodyModel) -> PathPlace:
+    """Return the place of the path (or focus) of a stimulus; the middle of a path on the skin is that of the layer."""
     centre = np.array(skin.patch_centre)
     if stimulus.path is not None and body.surface is not None:
         places, _ = stimulus.path.at(stimulus.path.arc_m, body.surface.vertices, body.surface.faces)
-        return PathPlace(np.zeros(3), 0.0), float(np.linalg.norm(places - centre, axis=1).max())
+        return PathPlace(np.zeros(3), 0.0, float(np.linalg.norm(places - centre, axis=1).max()))
     middle, foci = np.array(stimulus.config.focus_m), np.reshape(stimulus.config.foci_m, (-1, 3))[:, :2]
     reach = float(np.hypot(*foci.T).max(initial=0.0))
     path = plane_path(stimulus.config)
@@ -497,7 +498,7 @@ def path_reach(stimulus: StimulusModel, skin: SkinSpec, body: BodyModel) -> tupl
         reach += float(np.hypot(*path.points.T).max())
     focus = skin.body.transform.inverse_points(stimulus.spec.frame.transform.points(middle))
     nearest = _on_skin(body, focus)
-    return PathPlace(nearest - centre, float(np.linalg.norm(focus - nearest))), reach
+    return PathPlace(nearest - centre, float(np.linalg.norm(focus - nearest)), reach)
 
 
 def _on_skin(body: BodyModel, point: Float) -> Float:
