@@ -15,8 +15,8 @@ import numpy as np
 
 import palmfield
 from palmfield.outputs import open_result
-from palmfield.outputs.pictures.asked import Asked
 from palmfield.outputs.pictures.kinds.maps import motion_map
+from palmfield.outputs.pictures.options import Options
 from palmfield.outputs.render import render_scene
 from palmfield.outputs.style import save, style
 
@@ -47,7 +47,7 @@ def main() -> None:
         parts = [Path(folder) / "scene.png", Path(folder) / "motion.png"]
         render_scene(result, parts[0])
         with style():
-            figure = motion_map(result, Asked(time_s=MOMENT_S, limits=(-0.6, 0.6)))
+            figure = motion_map(result, Options(time_s=MOMENT_S, limits=(-0.6, 0.6)))
             figure.set_size_inches(7.2, 6.9)
             figure.set_dpi(100)
             save(figure, parts[1], 100)

@@ -9,8 +9,8 @@ RUN is the folder of a run, for the committed page of `palmfield run mjcf/scenes
 import argparse
 from pathlib import Path
 
-from palmfield.outputs.pictures.asked import Asked
 from palmfield.outputs.pictures.kinds import KINDS
+from palmfield.outputs.pictures.options import Options
 from palmfield.outputs.store import RESULT, open_result
 from palmfield.outputs.style import save, style
 
@@ -30,7 +30,7 @@ def main() -> None:
     with open_result(given.run / RESULT) as result:
         for name, kind in KINDS.items():
             with style():
-                figure = kind.draw(result, Asked())
+                figure = kind.draw(result, Options())
                 figure.set_dpi(DPI)
                 save(figure, given.images / f"{name}.png", DPI)
             about = (kind.draw.__doc__ or kind.about).split("\n\n")[0].strip()

@@ -12,7 +12,7 @@ from palmfield.errors import OutputError, SceneError, refuse_unknown
 from palmfield.whole_files import made_folder
 
 if TYPE_CHECKING:
-    from palmfield.outputs.pictures.asked import Asked
+    from palmfield.outputs.pictures.options import Options
 
 SHEET = "kinds.png"
 SPEED = "speed"
@@ -67,8 +67,8 @@ def plot(
 
     palmfield plot skin.md --format pdf  (speed against error, after palmfield bench skin --out skin.md)
     """
-    from palmfield.outputs.pictures.asked import asked_for
     from palmfield.outputs.pictures.draw import checked_kinds, draw_pictures
+    from palmfield.outputs.pictures.options import parse_options
     from palmfield.outputs.store import open_result
 
     if listed:
@@ -76,14 +76,14 @@ def plot(
         return
     if run is None:
         raise SceneError("plot needs DIR, the folder of a run; `palmfield plot --list` lists the kinds of plots")
-    asked = asked_for(time_ms, place or (), limits, skin, quantity, observer)
+    options = parse_options(time_ms, place or (), limits, skin, quantity, observer)
     named = [name for word in kinds or () for name in word.split(",") if name]
     if run.suffix.lower() == ".md" or SPEED in named:
-        _plot_speed(run, named, asked, out, suffix, as_json)
+        _plot_speed(run, named, options, out, suffix, as_json)
         return
     checked_kinds(named)
     with open_result(run) as result:
-        files, missing = draw_pictures(result, out or _plots(run), named, asked, suffix)
+        files, missing = draw_pictures(result, out or _plots(run), named, options, suffix)
     if as_json:
         print_json({"files": {kind: str(path) for kind, path in files.items()}, "missing": missing})
         return
@@ -118,10 +118,12 @@ def _plots(run: Path) -> Path:
     return (run if run.is_dir() else run.parent) / "plots"
 
 
-def _plot_speed(run: Path, kinds: Sequence[str], asked: "Asked", out: Path | None, suffix: str, as_json: bool) -> None:
+def _plot_speed(
+    run: Path, kinds: Sequence[str], options: "Options", out: Path | None, suffix: str, as_json: bool
+) -> None:
     """Draw speed against error from the report of a benchmark, next to it or into a folder."""
-    from palmfield.outputs.pictures.asked import Asked
     from palmfield.outputs.pictures.draw import DPI
+    from palmfield.outputs.pictures.options import Options
     from palmfield.outputs.style import FORMATS, save, style
     from palmfield.studies.bench.read_table import speed_picture
 
@@ -130,7 +132,7 @@ def _plot_speed(run: Path, kinds: Sequence[str], asked: "Asked", out: Path | Non
             f"picture '{SPEED}' needs a benchmark report in Markdown, not {run}; make one with palmfield bench "
             "skin --out FILE.md"
         )
-    if set(kinds) - {SPEED} or asked != Asked():
+    if set(kinds) - {SPEED} or options != Options():
         raise OutputError(f"{run} is a benchmark report; allowed: only picture '{SPEED}', without options")
     refuse_unknown(OutputError, "--format has value {}", suffix, FORMATS)
     figure = speed_picture(run)

@@ -38,11 +38,11 @@ def render(
     Example: palmfield render out/palm --video palm.mp4 --from 20 --to 40
     """
     from palmfield.outputs.film import FPS, Cut, film
-    from palmfield.outputs.pictures.asked import asked_for
+    from palmfield.outputs.pictures.options import parse_options
     from palmfield.outputs.store import open_result
     from palmfield.terminal import bars
 
-    ends = asked_for(None, (), limits, None, "displacement", None).limits
+    ends = parse_options(None, (), limits, None, "displacement", None).limits
     start, end = (None if at is None else 1e-3 * at for at in (start_ms, end_ms))
     cut = Cut(start, end, slow, magnify, show, ends, _size_of(size))
     with open_result(run) as result, bars(not context.obj) as bar:

@@ -66,7 +66,7 @@ def usd(
 
     palmfield usd out/palm --from 20 --to 40 --magnify 5000 --field slice --field isosurface --check
     """
-    from palmfield.outputs.pictures.asked import asked_for
+    from palmfield.outputs.pictures.options import parse_options
     from palmfield.outputs.store import open_result
     from palmfield.outputs.usd.shown import Shown
     from palmfield.outputs.usd.validation import validate_usd
@@ -80,7 +80,7 @@ def usd(
         raise SceneError("usd needs DIR, the folder of a run; `palmfield usd --list` lists the quantities for --colour")
     start, end = (None if at is None else 1e-3 * at for at in (start_ms, end_ms))
     shown = Shown(
-        colour=colour, limits=asked_for(None, (), limits, None, "displacement", None).limits, magnify=magnify,
+        colour=colour, limits=parse_options(None, (), limits, None, "displacement", None).limits, magnify=magnify,
         quantities=None if quantities is None else tuple(name for name in quantities.split(",") if name),
         start_s=start, end_s=end, frames=frames, field=tuple(field or ()),
         field_times_s=tuple(1e-3 * at for at in field_ms or ()), level_Pa=level_Pa, observer=observer,

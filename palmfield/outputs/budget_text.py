@@ -71,15 +71,15 @@ def combined(parts: Sequence[Part]) -> tuple[float, float]:
 
 def parts_text(parts: Sequence[Part], ends: Callable[[float, float], str] | None = None) -> str:
     """List the parts of a band by name. ends: function that describes the two factors"""
-    said = ends or (lambda low, high: f"x {low:.2g} to {high:.2g}")
-    return ", ".join(f"{what} {said(low, high)}" for what, low, high in parts)
+    describe = ends or (lambda low, high: f"x {low:.2g} to {high:.2g}")
+    return ", ".join(f"{what} {describe(low, high)}" for what, low, high in parts)
 
 
 def _largest(bias: Mapping[str, Any]) -> float:
     return float(max(-bias["low"], bias["high"]))
 
 
-def largest_left_out(budget: Mapping[str, Any] | None) -> str:
+def largest_omitted(budget: Mapping[str, Any] | None) -> str:
     """Return the largest bias of ignored effects, as text after a semicolon; empty if none is significant."""
     significant = _significant(budget) if budget else []
     if not significant:

@@ -59,8 +59,8 @@ def look_along_emission(
         local = points - middle
         across, depth = np.column_stack([local @ right, local @ up]), local @ forward
         distance = float((np.abs(across) / limits - depth[:, None]).max())
-        seen = across / (distance + depth)[:, None]
-        offset = 0.5 * (seen.min(axis=0) + seen.max(axis=0)) * distance
+        projected = across / (distance + depth)[:, None]
+        offset = 0.5 * (projected.min(axis=0) + projected.max(axis=0)) * distance
         middle = middle + offset[0] * right + offset[1] * up
     centre = np.array([left + 0.5 * width, top + 0.5 * height])
     return Camera(middle - distance * forward, forward, right, up, focal, centre)

@@ -22,7 +22,7 @@ from palmfield.outputs.camera import Camera, look_along_emission
 from palmfield.outputs.covered import smooth_normals, sunk
 from palmfield.outputs.frames import bodies, in_world, nearest, pose_at
 from palmfield.outputs.motion import extremes, normal_component
-from palmfield.outputs.pictures.asked import IN_MICRO, UNITS
+from palmfield.outputs.pictures.options import IN_MICRO, UNITS
 from palmfield.outputs.render import Part, cast, joined
 from palmfield.outputs.schema import has_records, instances
 from palmfield.outputs.style import rounded_down, signed_colours, style
@@ -32,7 +32,7 @@ SHOWN = ("displacement", "velocity", "arp")
 FPS = 25
 SLOW = 200.0
 """Default slow-motion factor: a second of film shows 5 ms."""
-SEEN_M = 2e-3
+DISPLAYED_M = 2e-3
 """Displayed size of the largest motion at the default magnification [m]."""
 QUALITY = (1, 3)
 DPI, DRAWN_FOR = 100, (800, 600)
@@ -45,7 +45,7 @@ POSES = 16
 class Cut:
     """Contents of a film. start_s, end_s: of the run [s], None for its ends; slow: slow-motion factor
 
-    magnify: factor of the motion along the normal; None shows the largest motion as SEEN_M
+    magnify: factor of the motion along the normal; None shows the largest motion as DISPLAYED_M
     shown: quantity of the colours, one of SHOWN
     limits: of the colour scale, in the unit of `shown`; size: width and height [pixels], even
     """
@@ -125,7 +125,7 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
     if not skins or not instances(result, "array"):
         raise OutputError("the result contains no displacement of a skin, or no array; run at least one step with both")
     most = max(float(extremes(skin).peak.max()) for skin in skins.values())
-    magnify = cut.magnify if cut.magnify is not None else rounded_down(SEEN_M / most) if most > 0.0 else 1.0
+    magnify = cut.magnify if cut.magnify is not None else rounded_down(DISPLAYED_M / most) if most > 0.0 else 1.0
     lacking = [name for name, skin in skins.items() if not has_records(skin, cut.shown)]
     if lacking:
         raise OutputError(f"the result contains no {cut.shown} of skin '{lacking[0]}'; give another quantity by --show")

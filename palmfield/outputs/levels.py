@@ -41,8 +41,8 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
     steady = (times >= begin) & (times <= end)
     frequencies = felt_lines(times[steady], config)
     if not frequencies:
-        wanted = main_frequencies(config)
-        needed = f"{wanted_s(config)[1]} with 3 samples in each" if wanted else "a stimulus that repeats"
+        lines = main_frequencies(config)
+        needed = f"{wanted_s(config)[1]} with 3 samples in each" if lines else "a stimulus that repeats"
         raise OutputError(f"the record of skin '{chosen}' has no line; a map needs {needed}: run for longer")
     normal = np.asarray(normal_component(data))[steady]
     levels = np.stack([level_map(one, times[steady], normal, frequencies) for one in OBSERVERS.values()])
@@ -79,7 +79,7 @@ class LevelCourse:
         begins = self._begin + self.window_s * np.arange(self.count)
         self._starts = np.searchsorted(times, begins - 0.5 * step)
         self._ends = np.searchsorted(times, begins + self.window_s - 0.5 * step)
-        self._kept: dict[int, Float32] = {}
+        self._cached: dict[int, Float32] = {}
 
     def window_at(self, time_s: float) -> int:
         """Return the window that contains a time [s]; the last complete window for the rest at the end."""
@@ -87,15 +87,15 @@ class LevelCourse:
 
     def levels(self, window: int) -> Float32:
         """Return levels [dB SL] in a window, shape (vertices,), at least FLOOR_DB."""
-        if window in self._kept:
-            return self._kept[window]
+        if window in self._cached:
+            return self._cached[window]
         chosen = slice(int(self._starts[window]), int(self._ends[window]))
         normal = normal_component(self._skin, times=chosen)
         times = self._skin["time"].values[chosen].astype(float)
         found = level_map(self._observer, times, np.asarray(normal), self.frequencies_Hz)
         levels = np.maximum(found, FLOOR_DB).astype(np.float32)
         if self.count * levels.nbytes <= PIECE_BYTES:
-            self._kept[window] = levels
+            self._cached[window] = levels
         return levels
 
 

@@ -174,13 +174,13 @@ def _camera(
     cameras = [look_along_emission(corners, first, window, AZIMUTH_DEG + turn) for turn in AZIMUTHS_DEG]
     loud = level > 0.3 * level.max(initial=0.0)
     points, normals, weights = painted.vertices[loud], painted.vertex_normals[loud], level[loud]
-    seen = []
+    visible = []
     for camera in cameras:
         facing = np.einsum("ni,ni->n", normals, camera.eye - points) > 0.0
         free = np.logical_and.reduce([~_behind(points, camera.eye, *array) for array in scene.arrays.values()])
-        seen.append(float(weights[facing & free].sum()))
+        visible.append(float(weights[facing & free].sum()))
     # For a slightly better view the usual direction is not changed
-    return cameras[next(k for k, much in enumerate(seen) if much >= 0.9 * max(seen))]
+    return cameras[next(k for k, much in enumerate(visible) if much >= 0.9 * max(visible))]
 
 
 def _behind(points: Float, eye: Float, pose: Float, positions: Float) -> NDArray[np.bool_]:
@@ -309,8 +309,8 @@ def cast(
         bands = []
         for start in range(0, len(pixels), BAND_PIXELS):
             band = whole_numbers(pixels[start : start + BAND_PIXELS])
-            given = [*inputs, samples, quality[1], band]
-            launched = run_kernel(raycast.render, len(band), given, [image], device=device, record_cmd=True)
+            arguments = [*inputs, samples, quality[1], band]
+            launched = run_kernel(raycast.render, len(band), arguments, [image], device=device, record_cmd=True)
             bands.append((launched.launch,))
         share(bands, cores())
 

@@ -100,8 +100,8 @@ def draw_view(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str
         places = 1e-3 * np.array(finding["places_mm"]).reshape(-1, 3)
         if 0 < len(places) <= FEW:
             near = cKDTree(vertices[faces].mean(axis=1)).query(places)[1]
-            seen = places[unit[near] @ to_eye > -GRAZING]
-            at = 1e3 * seen @ np.stack([right, up], axis=1)
+            visible = places[unit[near] @ to_eye > -GRAZING]
+            at = 1e3 * visible @ np.stack([right, up], axis=1)
             axes.plot(*at.T, "o", ms=16, mfc="none", mec=COLOURS[finding["outcome"]], mew=1.5)
     axes.set_aspect("equal")
     axes.autoscale_view()

@@ -54,18 +54,18 @@ def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path:
     for number, one in enumerate(maps):
         axes = figure.add_subplot(grid[0, number])
         mesh = _meshed(1e3 * one.places_m)
-        seen = np.maximum(one.levels_dB, one.loudest_dB - SHOWN_DB)
-        shown = axes.tripcolor(mesh, seen, shading="gouraud", cmap="viridis")
+        levels_dB = np.maximum(one.levels_dB, one.loudest_dB - SHOWN_DB)
+        shown = axes.tripcolor(mesh, levels_dB, shading="gouraud", cmap="viridis")
         figure.colorbar(shown, ax=axes, label="dB SPL")
-        limits = {what: limit for what, limit in one.limits_dB.items() if seen.min() < limit < seen.max()}
+        limits = {what: limit for what, limit in one.limits_dB.items() if levels_dB.min() < limit < levels_dB.max()}
         if limits:
             ordered = sorted(limits.items(), key=lambda pair: pair[1])
-            lines = axes.tricontour(mesh, seen, levels=[limit for _, limit in ordered], colors="w", linewidths=1.0)
+            lines = axes.tricontour(mesh, levels_dB, levels=[limit for _, limit in ordered], colors="w", linewidths=1.0)
             axes.clabel(lines, fmt=lambda value: f"{value:g} dB", fontsize=7)
         axes.plot(*(1e3 * one.loudest_m), "r+", ms=10, mew=1.5)
         above = [f"{limit:g} ({what})" for what, limit in one.limits_dB.items() if one.loudest_dB > limit]
-        said = "above " + ", ".join(above) if above else "below its limits" if one.limits_dB else "no limit is set"
-        axes.set_title(f"{one.name}: {one.loudest_dB:.0f} dB at +\n{said}", fontsize=8)
+        outcome = "above " + ", ".join(above) if above else "below its limits" if one.limits_dB else "no limit is set"
+        axes.set_title(f"{one.name}: {one.loudest_dB:.0f} dB at +\n{outcome}", fontsize=8)
         axes.set(xlabel=f"{one.axes[0]} [mm]", ylabel=f"{one.axes[1]} [mm]", aspect="equal")
     over = figure.add_subplot(grid[1, :])
     for number, (name, levels) in enumerate(course.levels_dB.items()):

@@ -43,7 +43,7 @@ def draw_patch(
     figure: Any,
     axes: Any,
     faces: Any,
-    seen: Float,
+    vertices: Float,
     values: Float,
     colours: str | Colormap,
     limits: tuple[float, float],
@@ -53,11 +53,11 @@ def draw_patch(
     """Draw the patch in x (to the right) and y (up) of the array with a colour bar, with view onto the array.
 
     Triangles closer to the array, which the sound reaches first, are drawn over the others.
-    seen: vertices in the frame of the array [m], shape (n, 3); values: shape (n,), in `unit`
+    vertices: in the frame of the array [m], shape (n, 3); values: shape (n,), in `unit`
     gamma: exponent of the colour scale; below 1 it enhances small values
     """
-    order = np.argsort(-seen[faces].mean(axis=1)[:, 2])
-    triangles = Triangulation(seen[:, 0] * 1e3, seen[:, 1] * 1e3, faces[order])
+    order = np.argsort(-vertices[faces].mean(axis=1)[:, 2])
+    triangles = Triangulation(vertices[:, 0] * 1e3, vertices[:, 1] * 1e3, faces[order])
     low, high = limits
     drawn = axes.tripcolor(triangles, values, shading="gouraud", cmap=colours, norm=PowerNorm(gamma, low, high))
     axes.set(xlabel="array x [mm]", ylabel="array y [mm]", aspect="equal")

@@ -72,9 +72,9 @@ class _Blocks:
         self._last = dict.fromkeys(RECORDS, -np.inf)
         self.static = check(static, self._sizes)
 
-    def taken(self, block: Arrays) -> Checked:
+    def checked(self, block: Arrays) -> Checked:
         """Return a block that does not change, after a check against earlier ones; see `Store.append` for errors."""
-        sizes, last, known_names = dict(self._sizes), dict(self._last), dict(self._names)
+        sizes, last, names_by_path = dict(self._sizes), dict(self._last), dict(self._names)
         checked = check(block, sizes)
         for dim in RECORDS:
             times = checked.get("/", {}).get(dim)
@@ -90,13 +90,13 @@ class _Blocks:
             schema = variables_of(path)
             for dim in RECORDS if path != "/" else ():
                 names = {name for name in variables if record_of(schema[name]) == dim}
-                expected = known_names.setdefault((path, dim), names) if names else names
+                expected = names_by_path.setdefault((path, dim), names) if names else names
                 if names != expected:
                     raise OutputError(
                         f"a block contains {', '.join(sorted(names))} of '{path}' along '{dim}', but earlier blocks "
                         f"contained {', '.join(sorted(expected))}: give the same variables in every block"
                     )
-        self._sizes, self._last, self._names = sizes, last, known_names
+        self._sizes, self._last, self._names = sizes, last, names_by_path
         return {path: {n: _constant(a) for n, a in variables.items()} for path, variables in checked.items()}
 
 
@@ -166,9 +166,9 @@ class Store:
         All blocks must have the same variables along a dimension, equal lengths of other dimensions, and rising times.
         Raises OutputError otherwise, and if a flush fails.
         """
-        taken = self._blocks.taken(block)
-        self._waiting.blocks.append(taken)
-        self._waiting_bytes += sum(array.nbytes for variables in taken.values() for array in variables.values())
+        checked = self._blocks.checked(block)
+        self._waiting.blocks.append(checked)
+        self._waiting_bytes += sum(array.nbytes for variables in checked.values() for array in variables.values())
         if self._waiting_bytes > FLUSH_BYTES or time.monotonic() - self._flushed_at > FLUSH_SECONDS:
             self._flush()
 
@@ -183,9 +183,9 @@ class Store:
         try:
             self._flush()
         except OutputError as error:
-            said = reason_of(error.__cause__ or error)
+            cause = reason_of(error.__cause__ or error)
             self.lost = OutputError(
-                f"the last blocks of {self.out} are lost: {said}; free some space and run the scene again"
+                f"the last blocks of {self.out} are lost: {cause}; free some space and run the scene again"
             )
             self.lost.__cause__ = error
         attributes = dict(attributes)
@@ -221,16 +221,16 @@ class MemoryStore:
     def __init__(self, static: Arrays, attributes: Attributes | None = None) -> None:
         self._blocks = _Blocks(static)
         self._attributes = dict(attributes or {})
-        self._held: list[Checked] = []
+        self._blocks_in_memory: list[Checked] = []
 
     def append(self, block: Arrays) -> None:
         """Append a block as in `Store.append`, without a flush."""
-        self._held.append(self._blocks.taken(block))
+        self._blocks_in_memory.append(self._blocks.checked(block))
 
     def finish(self, attributes: Mapping[str, Any], complete: bool) -> xr.DataTree:
         """Return the result as `open_result` does, completely in memory."""
         own = dict(self._attributes.get("/", {})) | dict(attributes) | {"complete": int(complete)}
-        whole = joined([self._blocks.static, *self._held])
+        whole = joined([self._blocks.static, *self._blocks_in_memory])
         for variables in whole.values():
             variables |= {name: np.require(array, requirements="W") for name, array in variables.items()}
         return tree(whole, self._attributes | {"/": own})

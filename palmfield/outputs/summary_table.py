@@ -11,7 +11,7 @@ from palmfield.outputs.budget_text import (
     combined,
     figures,
     input_parts,
-    largest_left_out,
+    largest_omitted,
     of_full,
     parts_text,
     widest,
@@ -71,8 +71,8 @@ def _short(skin: Mapping[str, Any]) -> list[TextRow]:
         missed = f"target accuracy of {100 * skin['accuracy_wanted_relative']:g} % NOT reached: {advice(skin)}"
         reached = f"; {missed}" if skin.get("accuracy_reached") is False else ""
         budget = skin.get("error_budget")
-        left, kind = largest_left_out(budget), f" ({budget['estimate']} estimate)" if budget else ""
-        rows.append(("error", f"numerical {figures(100 * error, 1.0)} %{kind}{reached}{left}"))
+        omitted, kind = largest_omitted(budget), f" ({budget['estimate']} estimate)" if budget else ""
+        rows.append(("error", f"numerical {figures(100 * error, 1.0)} %{kind}{reached}{omitted}"))
     return rows + _no_estimate(skin)
 
 

@@ -31,7 +31,7 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
     figure = Figure(figsize=(11.0, 6.4), dpi=110, layout="constrained")
     grid = figure.add_gridspec(2, 3)
     error = figure.add_subplot(grid[0, :2])
-    kept = figure.add_subplot(grid[1, :2], sharex=error)
+    shares = figure.add_subplot(grid[1, :2], sharex=error)
     above, side = figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, 2])
     for name, label, line in (
         ("lateral_error_m", "across the axis of the array", "-"),
@@ -46,10 +46,10 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
             share = column[after] / column[before]
-        kept.plot(moments, share, LINES[number], lw=1.0, color=colour, label=label)
-    kept.set(ylabel="share of the pressure", xlabel="time [ms]")
-    kept.axhline(1.0, color="0.8", lw=0.6, zorder=0)
-    kept.legend(loc="lower right", fontsize=8)
+        shares.plot(moments, share, LINES[number], lw=1.0, color=colour, label=label)
+    shares.set(ylabel="share of the pressure", xlabel="time [ms]")
+    shares.axhline(1.0, color="0.8", lw=0.6, zorder=0)
+    shares.legend(loc="lower right", fontsize=8)
     for axes, up in ((above, "y"), (side, "z")):
         for what, style, label in (("true", "k-", "on the hand"), ("sounding", "C3.", "of the sound")):
             axes.plot(1e3 * column[f"{what}_x_m"], 1e3 * column[f"{what}_{up}_m"], style, ms=3, lw=1.0, label=label)

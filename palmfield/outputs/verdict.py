@@ -108,11 +108,11 @@ def first_line(summary: Mapping[str, Any]) -> str:
     """Return the first line of a run: missed target accuracies, and the verdict of each skin."""
     texts = []
     for skin in summary["skins"]:
-        said = verdict(skin)
+        answer = verdict(skin)
         missed = ""
         if skin.get("accuracy_reached") is False:
             error, target = (100.0 * skin[f"{key}_relative"] for key in ("displacement_error", "accuracy_wanted"))
             missed = f"target accuracy NOT reached: error {error:.2g} %, target {target:g} %; "
         of = f"{skin['name']}: " if len(summary["skins"]) > 1 else ""
-        texts.append(f"{of}{missed}felt: {said['felt']}, because {said['because']}")
+        texts.append(f"{of}{missed}felt: {answer['felt']}, because {answer['because']}")
     return "; ".join(texts)

@@ -6,8 +6,8 @@ from pathlib import Path
 import xarray as xr
 
 from palmfield.errors import MeasurementError, OutputError, refuse_unknown
-from palmfield.outputs.pictures.asked import Asked
-from palmfield.outputs.pictures.kinds import KINDS, check_heeded
+from palmfield.outputs.pictures.kinds import KINDS, check_options
+from palmfield.outputs.pictures.options import Options
 from palmfield.outputs.style import FORMATS, save, style
 from palmfield.whole_files import made_folder
 
@@ -22,7 +22,7 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
 
 
 def draw_pictures(
-    result: xr.DataTree, out: str | Path, kinds: Sequence[str] = (), asked: Asked | None = None, suffix: str = "png"
+    result: xr.DataTree, out: str | Path, kinds: Sequence[str] = (), options: Options | None = None, suffix: str = "png"
 ) -> tuple[dict[str, Path], dict[str, str]]:
     """Draw kinds of pictures of a result, each to OUT/KIND.SUFFIX at 300 dpi.
 
@@ -33,14 +33,14 @@ def draw_pictures(
     """
     folder = Path(out)
     chosen = checked_kinds(kinds)
-    check_heeded(chosen, asked or Asked())
+    check_options(chosen, options or Options())
     refuse_unknown(OutputError, "--format has value {}", suffix, FORMATS)
     made_folder(folder)
     files, missing = {}, {}
     for kind in chosen:
         try:
             with style():
-                figure = KINDS[kind].draw(result, asked or Asked())
+                figure = KINDS[kind].draw(result, options or Options())
                 figure.set_dpi(DPI)
         except (OutputError, MeasurementError) as problem:
             if kinds:

@@ -9,8 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from palmfield.errors import MeasurementError, OutputError
-from palmfield.outputs.pictures.asked import Asked
 from palmfield.outputs.pictures.kinds import KINDS
+from palmfield.outputs.pictures.options import Options
 from palmfield.outputs.style import save, style
 from palmfield.whole_files import made_folder
 
@@ -33,7 +33,7 @@ def draw_sheet(result: xr.DataTree, path: Path) -> dict[str, str]:
         axes = sheet.subplots(rows, COLUMNS, squeeze=False).ravel()
         for axis, (name, kind) in zip(axes, KINDS.items(), strict=False):
             try:
-                figure = kind.draw(result, Asked())
+                figure = kind.draw(result, Options())
             except (OutputError, MeasurementError) as problem:
                 missing[name] = str(problem)
                 axis.text(0.5, 0.5, textwrap.fill(str(problem), 34), ha="center", va="center", fontsize=6)

@@ -42,9 +42,9 @@ def _sets(file: Path) -> list[dict[str, Any]]:
     pyuff = _pyuff()
     try:
         opened = pyuff.UFF(str(file))
-        wanted = {15, 2411, 164, 58}
+        kinds = {15, 2411, 164, 58}
         # pyuff raises plain Exceptions and ignores unreadable data
-        found = [opened.read_sets(n) for n, kind in enumerate(opened.get_set_types()) if int(kind) in wanted]
+        found = [opened.read_sets(n) for n, kind in enumerate(opened.get_set_types()) if int(kind) in kinds]
     except Exception as error:
         text = reason_of(error, LONGEST_PATH)
         raise MeasurementError(f"{file}: cannot be read as UFF: {text}; give a UFF file") from None

@@ -11,7 +11,7 @@ from palmfield.outputs.frames import drive_frames, nearest
 from palmfield.outputs.schema import has_records
 from palmfield.outputs.usd.clock import Clock, rows_at
 from palmfield.outputs.usd.palette import Palette, cyclic_palette, indices_of, paint
-from palmfield.outputs.usd.prims import Moves, add_mesh, add_primvar, floats, integers, rounding_told, vectors
+from palmfield.outputs.usd.prims import Moves, add_mesh, add_primvar, describe_rounding, floats, integers, vectors
 from palmfield.outputs.usd.quantise import rounding
 from palmfield.outputs.usd.samples import Samples
 from palmfield.transforms import facing
@@ -70,7 +70,7 @@ class ArrayWriter:
         for name, unit, sign, rounded in zip(
             ("drive_amplitude", "drive_phase"), ("1", "rad"), signs, self._roundings, strict=True
         ):
-            details = rounding_told(rounded)
+            details = describe_rounding(rounded)
             primvar = add_primvar(instancer.GetPrim(), name, unit, sign, details)
             made.append(Samples(primvar.GetAttr(), floats))
         self._drive = made[0], made[1], Samples(indices_of(colour), integers)

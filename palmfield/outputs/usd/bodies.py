@@ -11,7 +11,7 @@ from palmfield.outputs.covered import smooth_normals, sunk
 from palmfield.outputs.frames import IDENTITY, nearest
 from palmfield.outputs.schema import has_records
 from palmfield.outputs.usd.clock import Clock, rows_at
-from palmfield.outputs.usd.prims import Moves, about, add_mesh, add_primvar, floats, rounding_told, vector
+from palmfield.outputs.usd.prims import Moves, about, add_mesh, add_primvar, describe_rounding, floats, vector
 from palmfield.outputs.usd.quantise import rounding
 from palmfield.outputs.usd.samples import Samples
 from palmfield.outputs.usd.skeleton import BoneMoves, add_skeleton, bind, identifiers
@@ -97,7 +97,7 @@ class BodyWriter:
         if has_records(first, "face_arp"):
             low, high = float(first["face_arp"].min()), float(first["face_arp"].max())
             rounded = rounding(low, high, face_normals(points, faces)[1], FORCE_PART)
-            details = rounding_told(rounded) | {"quantisation": FORCE_ROUNDING}
+            details = describe_rounding(rounded) | {"quantisation": FORCE_ROUNDING}
             sign = "mean over the step; positive values push into the surface"
             primvar = add_primvar(mesh.GetPrim(), "arp", "Pa", sign, details, "uniform")
             self._pressed = first, rounded, Samples(primvar.GetAttr(), floats)

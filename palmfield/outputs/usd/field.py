@@ -10,7 +10,7 @@ from palmfield.outputs.frames import check_time, pose_at, to_local, to_world
 from palmfield.outputs.sound import driven_arrays, sound_at, sounding_foci
 from palmfield.outputs.usd.clock import Clock
 from palmfield.outputs.usd.palette import Palette, indices_of, paint, palette_of
-from palmfield.outputs.usd.prims import about, add_mesh, add_primvar, floats, integers, rounding_told, vectors
+from palmfield.outputs.usd.prims import about, add_mesh, add_primvar, describe_rounding, floats, integers, vectors
 from palmfield.outputs.usd.quantise import Rounding, rounding
 from palmfield.outputs.usd.quantities import QUANTITIES
 from palmfield.outputs.usd.samples import Samples
@@ -132,15 +132,15 @@ def _add_points(
     places = Samples(points.CreatePointsAttr(), vectors)
     pressed, numbers = _pressure_of(points, palette, rounded)
     for moment in moments:
-        kept, code = moment.box_Pa >= level, clock.code(moment.time_s)
-        places.add(code, grid.box[kept])
-        pressed.add(code, rounded.of(moment.box_Pa[kept]))
-        numbers.add(code, palette.numbers(moment.box_Pa[kept]))
+        inside, code = moment.box_Pa >= level, clock.code(moment.time_s)
+        places.add(code, grid.box[inside])
+        pressed.add(code, rounded.of(moment.box_Pa[inside]))
+        numbers.add(code, palette.numbers(moment.box_Pa[inside]))
 
 
 def _pressure_of(prim: UsdGeom.Gprim, palette: Palette, rounded: Rounding) -> tuple[Samples, Samples]:
     quantity = QUANTITIES["pressure"]
-    details = rounding_told(rounded)
+    details = describe_rounding(rounded)
     primvar = add_primvar(prim.GetPrim(), "pressure", quantity.unit, quantity.sign, details)
     colour = paint(prim, palette, "vertex", quantity="pressure", units=quantity.unit)
     return Samples(primvar.GetAttr(), floats), Samples(indices_of(colour), integers)

@@ -50,15 +50,15 @@ def add_lights(stage: Usd.Stage, camera: Camera) -> None:
 def add_camera(stage: Usd.Stage, camera: Camera, reach_m: float) -> None:
     """Add the camera of the pictures of the run. reach_m: largest distance of visible objects [m]"""
     UsdGeom.Scope.Define(stage, "/Scene/Cameras")
-    seen = UsdGeom.Camera.Define(stage, "/Scene/Cameras/Main")
+    usd_camera = UsdGeom.Camera.Define(stage, "/Scene/Cameras/Main")
     width, height = PICTURE
-    seen.AddTransformOp().Set(_matrix(camera.forward, camera.up, camera.eye))
-    seen.CreateHorizontalApertureAttr(APERTURE)
-    seen.CreateVerticalApertureAttr(APERTURE * height / width)
-    seen.CreateFocalLengthAttr(APERTURE * camera.focal / width)
-    seen.CreateHorizontalApertureOffsetAttr(APERTURE * (0.5 * width - float(camera.centre[0])) / width)
-    seen.CreateVerticalApertureOffsetAttr(APERTURE * (float(camera.centre[1]) - 0.5 * height) / width)
-    seen.CreateClippingRangeAttr(Gf.Vec2f(0.01, 10.0 * reach_m))
+    usd_camera.AddTransformOp().Set(_matrix(camera.forward, camera.up, camera.eye))
+    usd_camera.CreateHorizontalApertureAttr(APERTURE)
+    usd_camera.CreateVerticalApertureAttr(APERTURE * height / width)
+    usd_camera.CreateFocalLengthAttr(APERTURE * camera.focal / width)
+    usd_camera.CreateHorizontalApertureOffsetAttr(APERTURE * (0.5 * width - float(camera.centre[0])) / width)
+    usd_camera.CreateVerticalApertureOffsetAttr(APERTURE * (float(camera.centre[1]) - 0.5 * height) / width)
+    usd_camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 10.0 * reach_m))
 
 
 def _matrix(forward: Float, up: Float, place: Float) -> Gf.Matrix4d:

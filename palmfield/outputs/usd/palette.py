@@ -51,11 +51,11 @@ def cyclic_palette(period: float) -> Palette:
     return Palette(0.0, period, np.asarray(colormaps["twilight"](np.linspace(0.0, 1.0, COLOURS)))[:, :3], "twilight")
 
 
-def paint(prim: UsdGeom.Gprim, palette: Palette, interpolation: str, **said: Any) -> UsdGeom.Primvar:
+def paint(prim: UsdGeom.Gprim, palette: Palette, interpolation: str, **facts: Any) -> UsdGeom.Primvar:
     """Add a palette with its description to a prim; colours are chosen by the indices of the primvar."""
     colour = prim.CreateDisplayColorPrimvar(interpolation)
     colour.Set(vectors(linear_rgb(palette.colours)))
-    about(colour.GetAttr(), low=palette.low, high=palette.high, map=palette.map, **said)
+    about(colour.GetAttr(), low=palette.low, high=palette.high, map=palette.map, **facts)
     return colour
 
 

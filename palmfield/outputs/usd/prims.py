@@ -14,9 +14,9 @@ from palmfield.types import Float
 NAMESPACE = "palmfield"
 
 
-def about(thing: Any, **said: Any) -> None:
+def about(thing: Any, **facts: Any) -> None:
     """Set customData of a prim or an attribute: `palmfield:NAME` for each name."""
-    for name, value in said.items():
+    for name, value in facts.items():
         if isinstance(value, list):
             value = (Vt.StringArray if value and isinstance(value[0], str) else Vt.DoubleArray)(value)
         thing.SetCustomDataByKey(f"{NAMESPACE}:{name}", value)
@@ -82,7 +82,7 @@ def add_lines(
     return curves
 
 
-def rounding_told(rounded: Rounding) -> dict[str, Any]:
+def describe_rounding(rounded: Rounding) -> dict[str, Any]:
     """Describe the rounding of a primvar's values."""
     return {
         "low": rounded.low, "high": rounded.high, "error_bound": rounded.bound, "quantisation_step": rounded.step,
@@ -91,11 +91,11 @@ def rounding_told(rounded: Rounding) -> dict[str, Any]:
 
 
 def add_primvar(
-    prim: Usd.Prim, name: str, unit: str, sign: str, said: Mapping[str, Any], interpolation: str = "vertex"
+    prim: Usd.Prim, name: str, unit: str, sign: str, facts: Mapping[str, Any], interpolation: str = "vertex"
 ) -> UsdGeom.Primvar:
     """Add a primvar of floats with its unit, sign and further descriptions."""
     created = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, Sdf.ValueTypeNames.FloatArray, interpolation)
-    about(created.GetAttr(), units=unit, sign=sign, **said)
+    about(created.GetAttr(), units=unit, sign=sign, **facts)
     return created
 
 

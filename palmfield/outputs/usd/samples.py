@@ -22,24 +22,24 @@ class Samples:
         self._attribute, self._make = attribute, make
         self._last: NDArray[Any] | None = None
         self._written: float | None = None
-        self._begun = self._seen = 0.0
+        self._begun = self._until = 0.0
 
     def add(self, code: float, value: NDArray[Any]) -> None:
         """Add the value at a time code, which must be later than earlier ones."""
         if self._last is None:
             self._attribute.Set(self._make(value))
-            self._begun = self._seen = code
+            self._begun = self._until = code
             self._last = value.copy()
             return
         if np.array_equal(self._last, value):
-            self._seen = code
+            self._until = code
             return
         before = self._make(self._last)
         if self._written is None:
             self._attribute.Set(before, self._begun)
             self._written = self._begun
-        if self._seen > self._written:
-            self._attribute.Set(before, self._seen)
+        if self._until > self._written:
+            self._attribute.Set(before, self._until)
         self._attribute.Set(self._make(value), code)
-        self._written = self._seen = code
+        self._written = self._until = code
         self._last = value.copy()

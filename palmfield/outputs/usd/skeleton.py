@@ -16,8 +16,8 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
     for name in names:
         # USD would remove a digit at the beginning
         base = Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
-        taken = set(result.values())
-        result[name] = next(n for k in range(len(taken) + 1) if (n := f"{base}_{k}" if k else base) not in taken)
+        used = set(result.values())
+        result[name] = next(n for k in range(len(used) + 1) if (n := f"{base}_{k}" if k else base) not in used)
     return result
 
 

@@ -13,7 +13,7 @@ from palmfield.outputs.motion import PIECE_BYTES
 from palmfield.outputs.schema import has_records
 from palmfield.outputs.usd.clock import Clock
 from palmfield.outputs.usd.palette import Palette, indices_of, paint
-from palmfield.outputs.usd.prims import about, add_mesh, add_primvar, floats, integers, rounding_told, vectors
+from palmfield.outputs.usd.prims import about, add_mesh, add_primvar, describe_rounding, floats, integers, vectors
 from palmfield.outputs.usd.quantise import Rounding, rounding
 from palmfield.outputs.usd.quantities import QUANTITIES, Quantity, values_at
 from palmfield.outputs.usd.samples import Samples
@@ -115,11 +115,11 @@ class SkinWriter:
         self._row: Float32 = np.zeros(0, np.float32)
         self._magnify: tuple[float, Any] | None = None
 
-    def take(self, name: str, low: float, high: float, palette: Palette | None, **said: Any) -> None:
+    def add_quantity(self, name: str, low: float, high: float, palette: Palette | None, **facts: Any) -> None:
         """Add a quantity with values from low to high; with a palette it also colours the skin."""
         quantity = QUANTITIES[name]
         rounded = rounding(low, high, self._areas if quantity.keeps_sum else None)
-        details = rounding_told(rounded) | said
+        details = describe_rounding(rounded) | facts
         primvar = add_primvar(self.mesh.GetPrim(), name, quantity.unit, quantity.sign, details)
         coloured = None
         if palette is not None:
@@ -127,8 +127,8 @@ class SkinWriter:
             coloured = palette, Samples(indices_of(colour), integers)
         self._tracks[name] = _Track(quantity, rounded, Samples(primvar.GetAttr(), floats), coloured)
 
-    def take_levels(self, course: LevelCourse) -> None:
-        """Set the source of the level above threshold; `take` must be called for it before."""
+    def set_levels(self, course: LevelCourse) -> None:
+        """Set the source of the level above threshold; `add_quantity` must be called for it before."""
         self._levels = course
 
     def magnify(self, factor: float) -> None:
@@ -137,14 +137,14 @@ class SkinWriter:
         variants = self.mesh.GetPrim().GetVariantSets().AddVariantSet(MOTION)
         # A value of the prim overrides those in variants, so it is set only in variants
         shape = self.mesh.GetPointsAttr(), self.mesh.GetExtentAttr(), self.mesh.GetNormalsAttr()
-        kept = {attribute: attribute.Get() for attribute in shape}
-        for attribute in kept:
+        initial = {attribute: attribute.Get() for attribute in shape}
+        for attribute in initial:
             attribute.Clear()
         for name in (MAGNIFIED, REST):
             variants.AddVariant(name)
             variants.SetVariantSelection(name)
             with variants.GetVariantEditContext():
-                for attribute, value in kept.items():
+                for attribute, value in initial.items():
                     # Normals at rest are wrong for the magnified skin; viewers compute its normals
                     if name == REST or attribute.GetName() != UsdGeom.Tokens.normals:
                         attribute.Set(value)

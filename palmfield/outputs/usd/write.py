@@ -36,7 +36,7 @@ from palmfield.types import Float
 FPS = 30.0
 FIELD_LEGEND_SHARE = 0.17
 """Fraction of the picture width for the legend of the field, if skins are coloured too."""
-SEEN_M = 2e-3
+DISPLAYED_M = 2e-3
 """Displayed size of the largest motion at the default magnification [m]."""
 POINTS_BYTES = 8_000_000
 """Largest size of magnified points that are written by default [bytes]."""
@@ -119,7 +119,7 @@ def _write(
     standing = _add_bodies(stage, result, SKIN_COLOUR if palette is None else palette.at_rest)
     skin_writers = {name: writer for body in standing for name, writer in body.skins.items()}
     for name, skin_writer in skin_writers.items():
-        _take(skin_writer, name, skins[name], shown, clock, ranges, palette)
+        _add_quantities(skin_writer, name, skins[name], shown, clock, ranges, palette)
     writers += [*standing, *skin_writers.values()]
     writers += [
         StimulusWriter(stage, f"/Scene/Stimuli/{prim}", stimuli[name], clock)
@@ -130,7 +130,7 @@ def _write(
     writers += physics
     field = add_field(stage, result, shown, clock) if shown.field else None
     _add_view(stage, result, shown, clock, palette, field)
-    _say(stage, root, result, shown, clock, ranges)
+    _label(stage, root, result, shown, clock, ranges)
     if len(clock.codes) == 0:
         for body in standing:
             body.stand()
@@ -211,7 +211,7 @@ def _palette(shown: Shown, ranges: _Ranges) -> Palette | None:
     return palette_of(*whole, QUANTITIES[shown.colour].two_sided, limits)
 
 
-def _take(
+def _add_quantities(
     writer: SkinWriter,
     name: str,
     skin: xr.Dataset,
@@ -221,12 +221,12 @@ def _take(
     palette: Palette | None,
 ) -> None:
     for quantity, (low, high) in ranges.own.get(name, {}).items():
-        said = {}
+        facts = {}
         if quantity == "level":
             course = ranges.courses[name]
-            writer.take_levels(course)
-            said = {"observer": shown.observer, "window_s": course.window_s, "floor_dB": FLOOR_DB}
-        writer.take(quantity, low, high, palette if quantity == shown.colour else None, **said)
+            writer.set_levels(course)
+            facts = {"observer": shown.observer, "window_s": course.window_s, "floor_dB": FLOOR_DB}
+        writer.add_quantity(quantity, low, high, palette if quantity == shown.colour else None, **facts)
     factor = _magnification(shown, clock, ranges, skin)
     if factor > 0.0:
         writer.magnify(factor)
@@ -240,7 +240,7 @@ def _magnification(shown: Shown, clock: Clock, ranges: _Ranges, skin: xr.Dataset
     most = 0.0 if whole is None else max(map(abs, whole))
     if most == 0.0 or 12 * skin.sizes["vertex"] * len(clock.codes) > POINTS_BYTES:
         return 0.0
-    return rounded_down(SEEN_M / most)
+    return rounded_down(DISPLAYED_M / most)
 
 
 def _add_view(
@@ -297,19 +297,19 @@ def _points(result: xr.DataTree, times: list[float]) -> Float:
     return np.concatenate(found)
 
 
-def _say(stage: Usd.Stage, root: Usd.Prim, result: xr.DataTree, shown: Shown, clock: Clock, ranges: _Ranges) -> None:
+def _label(stage: Usd.Stage, root: Usd.Prim, result: xr.DataTree, shown: Shown, clock: Clock, ranges: _Ranges) -> None:
     """Describe the file in the root layer's customLayerData."""
-    said: dict[str, str | float] = {
+    facts: dict[str, str | float] = {
         "scene": str(result.attrs.get("scene", "")),
         "colour": shown.colour,
         "left_out": "; ".join(ranges.missing),
     }
     if len(clock.codes):
-        said |= {
+        facts |= {
             "start_s": float(clock.times_s[0]),
             "seconds_per_time_code": 1.0 / clock.per_second,
             "stride": clock.places.step,
         }
-    stage.GetRootLayer().customLayerData = {"palmfield": said}
+    stage.GetRootLayer().customLayerData = {"palmfield": facts}
     attribute = root.CreateAttribute("palmfield:time_s", Sdf.ValueTypeNames.Double, custom=True)
     about(attribute, units="s", sign="from the run's start")

@@ -15,9 +15,9 @@ from palmfield.config.array import ArrayConfig
 from palmfield.config.stimulus import StimulusConfig
 from palmfield.errors import OutputError
 from palmfield.outputs.frames import drive_frames, loudest
-from palmfield.outputs.pictures.asked import Asked, asked_for
 from palmfield.outputs.pictures.draw import draw_pictures
 from palmfield.outputs.pictures.kinds import KINDS, Kind
+from palmfield.outputs.pictures.options import Options, parse_options
 from palmfield.outputs.pictures.sheet import draw_sheet
 from palmfield.outputs.schema import instances
 from palmfield.outputs.style import save
@@ -38,7 +38,7 @@ def colour_values(figure, axes=0):
 def test_a_map_of_motion_shows_the_normal_component_at_the_time(result):
     skin = instances(result, "skin")["palm"]
     index = 7
-    figure = KINDS["motion"].draw(result, Asked(time_s=float(skin["time"].values[index]), skin="palm"))
+    figure = KINDS["motion"].draw(result, Options(time_s=float(skin["time"].values[index]), skin="palm"))
     normal = np.einsum("vi,vi->v", skin["displacement"].values[index], skin["rest_normal"].values)
     np.testing.assert_allclose(colour_values(figure), 1e6 * normal, rtol=1e-5, atol=1e-6)
     low, high = figure.axes[0].collections[0].get_clim()
@@ -47,7 +47,7 @@ def test_a_map_of_motion_shows_the_normal_component_at_the_time(result):
 
 def test_a_map_of_the_rms_is_the_root_of_the_mean_square(result):
     skin = instances(result, "skin")["palm"]
-    figure = KINDS["rms"].draw(result, Asked(skin="palm", quantity="velocity"))
+    figure = KINDS["rms"].draw(result, Options(skin="palm", quantity="velocity"))
     normal = np.einsum("tvi,vi->tv", skin["velocity"].values.astype(float), skin["rest_normal"].values)
     np.testing.assert_allclose(colour_values(figure), 1e6 * np.sqrt((normal**2).mean(axis=0)), rtol=1e-4)
 
@@ -55,7 +55,7 @@ def test_a_map_of_the_rms_is_the_root_of_the_mean_square(result):
 def test_the_course_is_that_of_the_vertex_nearest_to_the_place(result):
     skin = instances(result, "skin")["palm"]
     place = (0.01, 0.005, 0.15)
-    figure = KINDS["course"].draw(result, Asked(places=(place,), skin="palm"))
+    figure = KINDS["course"].draw(result, Options(places=(place,), skin="palm"))
     rest = skin["rest_position"].values + np.array([0.0, 0.0, 0.15])
     vertex = int(np.linalg.norm(rest - place, axis=1).argmin())
     normal = skin["displacement"].values[:, vertex] @ skin["rest_normal"].values[vertex]
@@ -64,13 +64,13 @@ def test_the_course_is_that_of_the_vertex_nearest_to_the_place(result):
 
 
 def test_the_spectrum_has_its_line_where_the_skin_was_driven(result):
-    figure = KINDS["spectrum"].draw(result, Asked(skin="palm"))
+    figure = KINDS["spectrum"].draw(result, Options(skin="palm"))
     at, size = figure.axes[0].lines[0].get_data()
     assert at[np.argmax(size)] == pytest.approx(SINE_Hz, abs=at[0])
 
 
 def test_the_spectrogram_of_a_sine_is_one_line_from_its_first_window_to_its_last(result):
-    mesh = KINDS["spectrogram"].draw(result, Asked(skin="palm")).axes[0].collections[0]
+    mesh = KINDS["spectrogram"].draw(result, Options(skin="palm")).axes[0].collections[0]
     level, corners = np.asarray(mesh.get_array()), np.asarray(mesh.get_coordinates())
     frequencies = 0.5 * (corners[1:, 0, 1] + corners[:-1, 0, 1])
     assert level.shape[1] > 10
@@ -79,7 +79,7 @@ def test_the_spectrogram_of_a_sine_is_one_line_from_its_first_window_to_its_last
 
 
 def test_wavefronts_run_at_the_speed_of_the_waves(result):
-    figure = KINDS["wavefronts"].draw(result, Asked(skin="palm", quantity="velocity"))
+    figure = KINDS["wavefronts"].draw(result, Options(skin="palm", quantity="velocity"))
     mesh = figure.axes[0].collections[0]
     values = mesh.get_array().reshape(mesh.get_coordinates().shape[0] - 1, -1)
     corners = mesh.get_coordinates()
@@ -104,15 +104,15 @@ def with_keys(result):
 
 
 def test_levels_are_told_for_what_repeats_and_refused_else(with_keys, result):
-    figure = KINDS["levels"].draw(with_keys, Asked(skin="palm", observer="bolanowski_1988"))
+    figure = KINDS["levels"].draw(with_keys, Options(skin="palm", observer="bolanowski_1988"))
     assert colour_values(figure).max() > 0.0
     still = result.copy()
     for name in instances(still, "stimulus"):
         still[f"stimulus/{name}"].attrs["config"] = StimulusConfig().model_dump_json()
     with pytest.raises(OutputError, match="does not repeat"):
-        KINDS["levels"].draw(still, Asked(skin="palm"))
+        KINDS["levels"].draw(still, Options(skin="palm"))
     with pytest.raises(OutputError, match=r"--observer has value 'bolanowski'.*bolanowski_1988"):
-        KINDS["levels"].draw(with_keys, Asked(observer="bolanowski"))
+        KINDS["levels"].draw(with_keys, Options(observer="bolanowski"))
 
 
 def test_all_kinds_draw_what_the_run_holds_and_say_what_it_does_not(result, tmp_path):
@@ -142,24 +142,24 @@ def test_other_formats_keep_their_text(result, tmp_path, suffix):
 
 
 def test_bad_questions_are_refused_with_what_is_allowed(result, tmp_path):
-    for asked, words in (
+    for options, words in (
         (("x", None), r"--place has value 'x'"),
         ((None, "2,1"), r"--limits has value '2,1'"),
     ):
         with pytest.raises(OutputError, match=words):
-            asked_for(None, [asked[0]] if asked[0] else [], asked[1], None, "displacement", None)
+            parse_options(None, [options[0]] if options[0] else [], options[1], None, "displacement", None)
     with pytest.raises(OutputError, match=r"displacment.*displacement"):
-        asked_for(None, [], None, None, "displacment", None)
+        parse_options(None, [], None, None, "displacment", None)
     with pytest.raises(OutputError, match=r"--time has value 9000 ms"):
-        KINDS["motion"].draw(result, Asked(time_s=9.0))
+        KINDS["motion"].draw(result, Options(time_s=9.0))
     with pytest.raises(OutputError, match=r"--place has value 0, 0, 300 mm, 1[0-9]+ mm from skin 'palm'"):
-        KINDS["course"].draw(result, Asked(places=((0.0, 0.0, 0.3),), skin="palm"))
+        KINDS["course"].draw(result, Options(places=((0.0, 0.0, 0.3),), skin="palm"))
     with pytest.raises(OutputError, match=r"--skin has value 'pa'"):
-        KINDS["rms"].draw(result, Asked(skin="pa"))
+        KINDS["rms"].draw(result, Options(skin="pa"))
     with pytest.raises(OutputError, match=r"picture 'motions'.*motion"):
         draw_pictures(result, tmp_path, ["motions"])
     with pytest.raises(OutputError, match="'gif' is not a picture format"):
-        save(KINDS["rms"].draw(result, Asked()), tmp_path / "a.gif")
+        save(KINDS["rms"].draw(result, Options()), tmp_path / "a.gif")
     assert loudest(instances(result, "skin")["palm"]).arp_Pa > 0.0
 
 
@@ -233,7 +233,7 @@ def test_a_slice_has_its_peak_near_the_focus_and_the_pressure_of_the_field(with_
     else:
         made_known(tree, "below", own)
     drive = focused(tree, own, focus)
-    x, z, size = peak_of(KINDS["field"].draw(tree, Asked()))
+    x, z, size = peak_of(KINDS["field"].draw(tree, Options()))
     assert abs(x - focus[0]) < 2e-3
     # The maximum lies nearer to the array than the focus does
     assert focus[2] - 0.015 < z <= focus[2] + 1e-3
@@ -250,36 +250,36 @@ def test_a_slice_of_an_earlier_calibrated_result_is_refused(with_keys):
     )
     focused(tree, layout("uhev1"), np.array([0.01, 0.0, 0.15]))
     with pytest.raises(OutputError, match=r"'below' has calibration 'board.toml'.*run the scene again"):
-        KINDS["field"].draw(tree, Asked())
+        KINDS["field"].draw(tree, Options())
 
 
 def test_what_is_asked_is_heeded_or_refused(result, tmp_path):
-    for kinds, asked, words in (
-        (["rms"], Asked(time_s=0.01), r"--time has no effect on rms; allowed with: pressure, field, drives, motion"),
-        (["pressure"], Asked(limits=(0.0, 1.0)), r"--limits has no effect on pressure"),
-        (["drives"], Asked(skin="palm"), r"--skin has no effect on drives"),
-        (["motion", "field"], Asked(limits=(0.0, 1.0)), r"--limits would apply to several units"),
-        ([], Asked(limits=(0.0, 1.0)), r"--limits would apply to several units"),
+    for kinds, options, words in (
+        (["rms"], Options(time_s=0.01), r"--time has no effect on rms; allowed with: pressure, field, drives, motion"),
+        (["pressure"], Options(limits=(0.0, 1.0)), r"--limits has no effect on pressure"),
+        (["drives"], Options(skin="palm"), r"--skin has no effect on drives"),
+        (["motion", "field"], Options(limits=(0.0, 1.0)), r"--limits would apply to several units"),
+        ([], Options(limits=(0.0, 1.0)), r"--limits would apply to several units"),
     ):
         with pytest.raises(OutputError, match=words):
-            draw_pictures(result, tmp_path, kinds, asked)
+            draw_pictures(result, tmp_path, kinds, options)
     assert Kind(KINDS["rms"].draw, "one of a user's own").heeds >= {"time_s", "places", "limits"}
-    for kind, asked, words in (
-        ("pressure", Asked(time_s=9.0), "--time has value 9000 ms"),
-        ("pressure", Asked(skin="pa"), "--skin has value 'pa'"),
-        ("drives", Asked(time_s=9.0), "--time has value 9000 ms"),
-        ("spectrum", Asked(limits=(-1.0, 1.0)), "above 0"),
-        ("motion", Asked(places=((0.5, 0.0, 0.15),), skin="palm"), "--place has value 500, 0, 150 mm"),
-        ("wavefronts", Asked(places=((0.01, 0.0, 0.15),) * 2, skin="palm"), "same nearest vertex"),
+    for kind, options, words in (
+        ("pressure", Options(time_s=9.0), "--time has value 9000 ms"),
+        ("pressure", Options(skin="pa"), "--skin has value 'pa'"),
+        ("drives", Options(time_s=9.0), "--time has value 9000 ms"),
+        ("spectrum", Options(limits=(-1.0, 1.0)), "above 0"),
+        ("motion", Options(places=((0.5, 0.0, 0.15),), skin="palm"), "--place has value 500, 0, 150 mm"),
+        ("wavefronts", Options(places=((0.01, 0.0, 0.15),) * 2, skin="palm"), "same nearest vertex"),
     ):
         with pytest.raises(OutputError, match=words):
-            KINDS[kind].draw(result, asked)
+            KINDS[kind].draw(result, options)
 
 
 def test_the_pressure_at_a_time_is_the_record_then(result):
     skin = instances(result, "skin")["tip"]
     index = 7
-    figure = KINDS["pressure"].draw(result, Asked(time_s=float(skin["time"].values[index]), skin="tip"))
+    figure = KINDS["pressure"].draw(result, Options(time_s=float(skin["time"].values[index]), skin="tip"))
     np.testing.assert_allclose(colour_values(figure), skin["pressure"].values[index], rtol=1e-6)
 
 
@@ -287,14 +287,14 @@ def test_a_map_marks_places_with_what_is_there(result):
     skin = instances(result, "skin")["palm"]
     vertex, index = 40, 7
     place = skin["rest_position"].values[vertex] + np.array([0.0, 0.0, 0.15])
-    asked = Asked(time_s=float(skin["time"].values[index]), places=(tuple(place),), skin="palm")
-    (words,) = KINDS["motion"].draw(result, asked).axes[0].get_legend().get_texts()
+    options = Options(time_s=float(skin["time"].values[index]), places=(tuple(place),), skin="palm")
+    (words,) = KINDS["motion"].draw(result, options).axes[0].get_legend().get_texts()
     normal = 1e6 * skin["displacement"].values[index, vertex] @ skin["rest_normal"].values[vertex]
     assert words.get_text().endswith(f" mm: {normal:.3g} µm")
 
 
 def test_white_stays_zero_with_limits_of_ones_own(result):
-    drawn = KINDS["motion"].draw(result, Asked(limits=(-4.0, 1.0), skin="palm")).axes[0].collections[0]
+    drawn = KINDS["motion"].draw(result, Options(limits=(-4.0, 1.0), skin="palm")).axes[0].collections[0]
     blue, white, red = (drawn.cmap(drawn.norm(value))[:3] for value in (-3.9, 0.0, 0.9))
     assert min(white) > 0.95
     # As far from white as the value from 0

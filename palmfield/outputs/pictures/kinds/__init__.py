@@ -5,7 +5,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from palmfield.errors import OutputError
-from palmfield.outputs.pictures.asked import Asked, Kind
+from palmfield.outputs.pictures.options import Kind, Options
 
 _FOUND: list[tuple[str, Kind]] = [
     entry
@@ -24,12 +24,12 @@ OPTIONS = {
 }
 
 
-def check_heeded(kinds: Sequence[str], asked: Asked) -> None:
+def check_options(kinds: Sequence[str], options: Options) -> None:
     """Raise OutputError for options that no kind uses, and for limits of kinds with several units."""
     for name, option in OPTIONS.items():
-        if getattr(asked, name) != getattr(Asked(), name) and not any(name in KINDS[kind].heeds for kind in kinds):
+        if getattr(options, name) != getattr(Options(), name) and not any(name in KINDS[kind].heeds for kind in kinds):
             able = [kind for kind, one in KINDS.items() if name in one.heeds]
             raise OutputError(f"{option} has no effect on {', '.join(kinds)}; allowed with: {', '.join(able)}")
     units = list(dict.fromkeys(KINDS[kind].unit for kind in kinds if KINDS[kind].unit))
-    if asked.limits is not None and len(units) > 1:
+    if options.limits is not None and len(units) > 1:
         raise OutputError(f"--limits would apply to several units ({', '.join(units)}); give kinds with one unit")

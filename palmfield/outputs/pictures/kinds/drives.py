@@ -4,17 +4,17 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from palmfield.outputs.pictures.asked import Asked, Kind, chosen_frame
+from palmfield.outputs.pictures.options import Kind, Options, chosen_frame
 from palmfield.outputs.sound import driven_arrays
 
 
-def drives(result: xr.DataTree, asked: Asked) -> Figure:
+def drives(result: xr.DataTree, options: Options) -> Figure:
     """Draw phase (cyclic colour) and amplitude (size) of each transducer at a given time."""
     arrays = driven_arrays(result)
     figure = Figure(figsize=(5.4 * len(arrays), 4.8), layout="constrained")
     for axes, (name, array) in zip(figure.subplots(1, len(arrays), squeeze=False)[0], arrays.items(), strict=True):
         amplitude = array["drive_amplitude"].values
-        index, time_s = chosen_frame(result, array, asked)
+        index, time_s = chosen_frame(result, array, options)
         x, y, _ = 1e3 * array["transducer_position"].values.T
         phase = np.mod(array["drive_phase"].values[index], 2.0 * np.pi)
         size = np.hypot(np.ptp(x), np.ptp(y))

@@ -5,7 +5,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from palmfield.outputs.frames import pose_at, to_local, to_world
-from palmfield.outputs.pictures.asked import Asked, Kind, chosen_frame, limits_of
+from palmfield.outputs.pictures.options import Kind, Options, chosen_frame, limits_of
 from palmfield.outputs.sound import driven_arrays, sound_at, sounding_foci
 from palmfield.outputs.style import beyond
 
@@ -21,7 +21,7 @@ REACH_M = 0.3
 """Length of the slice if there is no sound or focus [m]."""
 
 
-def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
+def field_slice(result: xr.DataTree, options: Options) -> Figure:
     """Draw the amplitude of the incident pressure through the focus, in the x-z plane of the first active array.
 
     It is the field in free air, without obstacles. Ring-up is not included: amplitudes and phases are those of the
@@ -33,7 +33,7 @@ def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
     arrays = driven_arrays(result)
     loud = {name: array["drive_amplitude"].values.sum(axis=1) for name, array in arrays.items()}
     first = max(loud, key=lambda name: float(loud[name].max()))
-    _, time_s = chosen_frame(result, arrays[first], asked)
+    _, time_s = chosen_frame(result, arrays[first], options)
     frame = pose_at(arrays[first], time_s)
     foci = to_local(sounding_foci(result, time_s), frame)
     focus = foci.mean(axis=0) if len(foci) else np.array([0.0, 0.0, REACH_M - BEYOND_M])
@@ -44,7 +44,7 @@ def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
     size = np.abs(sound_at(arrays, points, time_s)).reshape(x.shape)
     figure = Figure(figsize=(5.6, 5.6), layout="constrained")
     panel = figure.subplots()
-    low, high = limits_of(asked, 0.0, float(size.max()))
+    low, high = limits_of(options, 0.0, float(size.max()))
     drawn = panel.pcolormesh(1e3 * across, 1e3 * ahead, size, cmap="magma", vmin=low, vmax=high, shading="nearest")
     if len(foci):
         panel.plot(1e3 * foci[:, 0], 1e3 * foci[:, 2], "+", color="white", ms=10, mew=1.4)

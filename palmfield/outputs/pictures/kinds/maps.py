@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from palmfield.errors import OutputError, refuse_unknown
 from palmfield.outputs.frames import in_world, to_local
 from palmfield.outputs.motion import extremes, normal_component
-from palmfield.outputs.pictures.asked import (
+from palmfield.outputs.pictures.options import (
     IN_MICRO,
     UNITS,
-    Asked,
     Kind,
+    Options,
     chosen_names,
     chosen_skin,
     chosen_time,
@@ -38,53 +38,53 @@ LEAST_LEVEL_DB = -20.0
 MARKERS = "os^Dv"
 
 
-def pressure(result: xr.DataTree, asked: Asked) -> Figure:
+def pressure(result: xr.DataTree, options: Options) -> Figure:
     """Draw peak pressure amplitude and ARP on each skin, at the loudest moment or at a given time. The view is from the
     array that the skin faces.
     """
-    return pressure_picture(result, chosen_names(result, asked), asked.time_s)
+    return pressure_picture(result, chosen_names(result, options), options.time_s)
 
 
-def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
+def motion_map(result: xr.DataTree, options: Options) -> Figure:
     """Draw normal displacement or velocity of the skin at a time, by default that of the largest motion."""
-    name, skin = chosen_skin(result, asked, asked.quantity)
-    found = extremes(skin, asked.quantity)
-    index = chosen_time(skin, asked, int(found.when[found.peak.argmax()]))
-    values = IN_MICRO * normal_component(skin, asked.quantity, slice(index, index + 1)).values[0].astype(float)
+    name, skin = chosen_skin(result, options, options.quantity)
+    found = extremes(skin, options.quantity)
+    index = chosen_time(skin, options, int(found.when[found.peak.argmax()]))
+    values = IN_MICRO * normal_component(skin, options.quantity, slice(index, index + 1)).values[0].astype(float)
     time_s = float(skin["time"].values[index])
     largest = float(np.abs(values).max())
-    unit = UNITS[asked.quantity]
+    unit = UNITS[options.quantity]
     view = view_of_skin(result, name, skin)
     vertices = to_local(in_world(skin, instances(result, "body").get(name), time_s), view.pose)
-    limits = limits_of(asked, -max(largest, 1e-9), max(largest, 1e-9))
+    limits = limits_of(options, -max(largest, 1e-9), max(largest, 1e-9))
     colours = ListedColormap(signed_colours(*limits))
     range_of = f"{values.min():.3g} to {values.max():.3g} {unit}"
-    title = f"Normal {asked.quantity} at {1e3 * time_s:.2f} ms\n(negative: inward), {range_of}"
-    marks = _marked(result, name, skin, asked)
+    title = f"Normal {options.quantity} at {1e3 * time_s:.2f} ms\n(negative: inward), {range_of}"
+    marks = _marked(result, name, skin, options)
     return _one(view._replace(vertices=vertices), skin, values, colours, limits, unit, title, marks)
 
 
-def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
+def rms_map(result: xr.DataTree, options: Options) -> Figure:
     """Draw the root mean square of the normal displacement or velocity over the run. The mean is included."""
-    name, skin = chosen_skin(result, asked, asked.quantity)
-    values = IN_MICRO * np.sqrt(extremes(skin, asked.quantity).mean_square)
-    unit = UNITS[asked.quantity]
-    title = f"RMS of the normal {asked.quantity} over the run\n(mean included), maximum {values.max():.3g} {unit}"
-    limits = limits_of(asked, 0.0, float(values.max()))
-    marks = _marked(result, name, skin, asked)
+    name, skin = chosen_skin(result, options, options.quantity)
+    values = IN_MICRO * np.sqrt(extremes(skin, options.quantity).mean_square)
+    unit = UNITS[options.quantity]
+    title = f"RMS of the normal {options.quantity} over the run\n(mean included), maximum {values.max():.3g} {unit}"
+    limits = limits_of(options, 0.0, float(values.max()))
+    marks = _marked(result, name, skin, options)
     return _one(view_of_skin(result, name, skin), skin, values, SIZES, limits, unit, title, marks)
 
 
-def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
+def level_map_of(result: xr.DataTree, options: Options) -> Figure:
     """Draw the level above threshold at each vertex, without summation over area, for each or for one observer."""
-    name, skin = chosen_skin(result, asked, "displacement")
-    if asked.observer is not None:
-        refuse_unknown(OutputError, "--observer has value {}", asked.observer, OBSERVERS)
+    name, skin = chosen_skin(result, options, "displacement")
+    if options.observer is not None:
+        refuse_unknown(OutputError, "--observer has value {}", options.observer, OBSERVERS)
     steady, lines = _repeating(result, skin)
     times = skin["time"].values[steady]
     motion = normal_component(skin, times=steady).values.astype(float)
     shown: list[tuple[str, Float]] = []
-    for key in [asked.observer] if asked.observer else list(OBSERVERS):
+    for key in [options.observer] if options.observer else list(OBSERVERS):
         levels = level_map(OBSERVERS[key], times, motion, lines)
         if np.isfinite(levels).any():
             shown.append((key, np.maximum(levels, LEAST_LEVEL_DB)))
@@ -92,9 +92,9 @@ def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
         frequencies = ", ".join(f"{f:g}" for f in lines)
         raise OutputError(f"no observer has a threshold at {frequencies} Hz; see docs/results.md")
     top = max(float(levels.max()) for _, levels in shown)
-    limits = limits_of(asked, min(0.0, top), top)
+    limits = limits_of(options, min(0.0, top), top)
     view = view_of_skin(result, name, skin)
-    marks = _marked(result, name, skin, asked)
+    marks = _marked(result, name, skin, options)
     figure = Figure(figsize=(0.6 + 4.4 * len(shown), 4.6), layout="constrained")
     for axes, (key, levels) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
         draw_patch(figure, axes, skin["face"].values, view.vertices, levels, SIZES, limits, "dB above threshold")
@@ -123,9 +123,9 @@ def _repeating(result: xr.DataTree, skin: xr.Dataset) -> tuple[slice, list[float
     )
 
 
-def _marked(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Asked) -> list[tuple[int, str]]:
+def _marked(result: xr.DataTree, name: str, skin: xr.Dataset, options: Options) -> list[tuple[int, str]]:
     """Return vertices and descriptions of the requested places."""
-    return chosen_vertices(result, name, skin, asked) if asked.places else []
+    return chosen_vertices(result, name, skin, options) if options.places else []
 
 
 def _mark(axes: Any, vertices: Float, values: Float, unit: str, marks: list[tuple[int, str]]) -> None:

@@ -21,12 +21,12 @@ UNITS: dict[Quantity, str] = {"displacement": "µm", "velocity": "µm/s"}
 """Units equal to 1e-6 of the SI unit of the quantity."""
 FAR_M = 0.01
 """Largest distance of a place from the skin [m]."""
-TOLD_M = 5e-4
+MISS_SHOWN_M = 5e-4
 """Distance between place and vertex above which a picture shows it [m]."""
 
 
 @dataclass(frozen=True)
-class Asked:
+class Options:
     """Options of a picture.
 
     time_s: None for the default time of the kind; places: points in the world as the run begins [m], whose nearest
@@ -43,14 +43,14 @@ class Asked:
     observer: str | None = None
 
 
-ALL = frozenset(one.name for one in fields(Asked))
-Draw = Callable[[xr.DataTree, Asked], Figure]
+ALL = frozenset(one.name for one in fields(Options))
+Draw = Callable[[xr.DataTree, Options], Figure]
 
 
 class Kind(NamedTuple):
     """A kind of picture. draw: raises OutputError or MeasurementError if the result lacks data; about: a sentence
 
-    heeds: options of `Asked` that change the picture, default all; unit: of its limits
+    heeds: options of `Options` that change the picture, default all; unit: of its limits
     place: order in lists: sound (1 to 9), maps of the skin (10 to 19), motion over time (20 to 29)
     """
 
@@ -66,14 +66,14 @@ class Kind(NamedTuple):
         return cls(draw, about, frozenset({"places", "limits", "skin", "quantity", *more}), unit, place)
 
 
-def asked_for(
+def parse_options(
     time_ms: float | None,
     places_mm: Sequence[str],
     limits: str | None,
     skin: str | None,
     quantity: str,
     observer: str | None,
-) -> Asked:
+) -> Options:
     """Parse options of a command line: times in ms, places "X,Y,Z" in mm, limits "LOW,HIGH".
 
     Raises OutputError for an unknown quantity, and for texts with another number of finite numbers.
@@ -86,7 +86,7 @@ def asked_for(
     time_s = None if time_ms is None else 1e-3 * time_ms
     places = tuple((1e-3 * x, 1e-3 * y, 1e-3 * z) for x, y, z in in_mm)
     between = None if ends is None else (ends[0], ends[1])
-    return Asked(time_s, places, between, skin, cast(Quantity, quantity), observer)
+    return Options(time_s, places, between, skin, cast(Quantity, quantity), observer)
 
 
 def _numbers(option: str, text: str, count: int) -> list[float]:
@@ -99,82 +99,82 @@ def _numbers(option: str, text: str, count: int) -> list[float]:
     return values
 
 
-def chosen_names(result: xr.DataTree, asked: Asked) -> list[str]:
+def chosen_names(result: xr.DataTree, options: Options) -> list[str]:
     """Return names of all skins, or of the requested one. Raises OutputError for an unknown one."""
     skins = list(instances(result, "skin"))
-    if asked.skin is None:
+    if options.skin is None:
         return skins
-    if asked.skin not in skins:
-        near = did_you_mean(asked.skin, skins)
-        raise OutputError(f"--skin has value '{asked.skin}'{near}; the result has: {', '.join(skins) or 'no skin'}")
-    return [asked.skin]
+    if options.skin not in skins:
+        near = did_you_mean(options.skin, skins)
+        raise OutputError(f"--skin has value '{options.skin}'{near}; the result has: {', '.join(skins) or 'no skin'}")
+    return [options.skin]
 
 
-def chosen_skin(result: xr.DataTree, asked: Asked, variable: str) -> tuple[str, xr.Dataset]:
+def chosen_skin(result: xr.DataTree, options: Options, variable: str) -> tuple[str, xr.Dataset]:
     """Return name and group of the requested skin, which must have a variable over time.
 
     Raises OutputError if there is none, if there are several and none is requested, and for an unknown name.
     """
     skins = instances(result, "skin")
-    held = {name: skins[name] for name in chosen_names(result, asked) if has_records(skins[name], variable)}
-    if not held:
+    recorded = {name: skins[name] for name in chosen_names(result, options) if has_records(skins[name], variable)}
+    if not recorded:
         raise OutputError(f"the result contains no {variable} of a skin; run at least one step with it")
-    return next(iter(held.items()))
+    return next(iter(recorded.items()))
 
 
-def chosen_time(skin: xr.Dataset, asked: Asked, otherwise: int) -> int:
+def chosen_time(skin: xr.Dataset, options: Options, otherwise: int) -> int:
     """Return the requested index along `time`. Raises OutputError for a time outside the run."""
     times: Float = skin["time"].values
-    if asked.time_s is None:
+    if options.time_s is None:
         return otherwise
-    check_time("--time", asked.time_s, float(times[0]), float(times[-1]))
-    return nearest(times, asked.time_s)
+    check_time("--time", options.time_s, float(times[0]), float(times[-1]))
+    return nearest(times, options.time_s)
 
 
-def chosen_frame(result: xr.DataTree, array: xr.Dataset, asked: Asked) -> tuple[int, float]:
+def chosen_frame(result: xr.DataTree, array: xr.Dataset, options: Options) -> tuple[int, float]:
     """Return the index along `frame_time` of the drive at the requested time, default the loudest drive, and the time.
 
     Raises OutputError for a time outside the run.
     """
     starts: Float = array["frame_time"].values
-    if asked.time_s is None:
+    if options.time_s is None:
         loudest = int(array["drive_amplitude"].values.sum(axis=1).argmax())
         return loudest, float(starts[loudest])
     coords = result.coords
     ends = [float(coords[name].values[-1]) for name in RECORDS if name in coords and coords[name].size]
-    check_time("--time", asked.time_s, float(starts[0]), max(ends))
-    return drive_frame(array, asked.time_s), asked.time_s
+    check_time("--time", options.time_s, float(starts[0]), max(ends))
+    return drive_frame(array, options.time_s), options.time_s
 
 
-def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Asked) -> list[tuple[int, str]]:
+def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, options: Options) -> list[tuple[int, str]]:
     """Return vertices and their descriptions: nearest to the requested places, or around the largest motion.
 
     Raises OutputError for a place that is not on the skin.
     """
-    if not asked.places:
+    if not options.places:
         rest = skin["rest_position"].values
-        found = probe_vertices(rest, extremes(skin, asked.quantity).peak)
+        found = probe_vertices(rest, extremes(skin, options.quantity).peak)
         return [(v, "largest motion" if far == 0 else f"{1e3 * far:.1f} mm away") for v, far in found]
     begins = float(skin["time"].values[0])
     vertices = in_world(skin, instances(result, "body").get(name), begins)
     out = []
-    for place in asked.places:
+    for place in options.places:
         away = np.linalg.norm(vertices - np.array(place), axis=1)
         vertex = int(away.argmin())
-        told = ", ".join(f"{1e3 * x:g}" for x in place)
+        given = ", ".join(f"{1e3 * x:g}" for x in place)
         if away[vertex] > FAR_M:
             middle = ", ".join(f"{1e3 * x:.0f}" for x in vertices.mean(axis=0))
             raise OutputError(
-                f"--place has value {told} mm, {1e3 * away[vertex]:.3g} mm from skin '{name}'; allowed: at most "
+                f"--place has value {given} mm, {1e3 * away[vertex]:.3g} mm from skin '{name}'; allowed: at most "
                 f"{1e3 * FAR_M:g} mm (the centre of the skin is at {middle} mm)"
             )
-        off = f", vertex {1e3 * away[vertex]:.1f} mm away" if away[vertex] > TOLD_M else ""
-        out.append((vertex, f"({told}) mm{off}"))
+        off = f", vertex {1e3 * away[vertex]:.1f} mm away" if away[vertex] > MISS_SHOWN_M else ""
+        out.append((vertex, f"({given}) mm{off}"))
     return out
 
 
-def limits_of(asked: Asked, low: float, high: float) -> tuple[float, float]:
+def limits_of(options: Options, low: float, high: float) -> tuple[float, float]:
     """Return the requested limits, or else `low` and `high`, widened if they are equal."""
-    if asked.limits is not None:
-        return asked.limits
+    if options.limits is not None:
+        return options.limits
     return low, high if high > low else low + 1e-9
