@@ -46,7 +46,7 @@ def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], 
     return columns, places
 
 
-def taken(
+def pop_columns(
     file: Path, columns: dict[str, Float], names: Sequence[str], error: type[PalmfieldError] = SceneError
 ) -> Float:
     """Remove columns that belong together from a table and return them, shape (rows, names); `error` if one is missing.

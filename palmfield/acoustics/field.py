@@ -567,10 +567,10 @@ def _in_cosine(in_sine: tuple[float, ...]) -> tuple[Float, Float, bool]:
     smooth = bool(np.abs(quartic(q) - quintic(q)).max() <= SMOOTH)
     if smooth:
         quintic, slope = quartic, Chebyshev.interpolate(slope, 3, domain=[0.0, 1.0])
-    kept = padded(quintic, 6), padded(slope, 6)
-    for values in kept:
+    tables = padded(quintic, 6), padded(slope, 6)
+    for values in tables:
         values.setflags(write=False)
-    return *kept, smooth
+    return *tables, smooth
 
 
 def padded(function: Polynomial | Chebyshev, count: int) -> Float:

@@ -252,9 +252,9 @@ class KnifeEdges:
             )
         across: list[Calls] = []
         for first, count in _parts(len(numbers), self._threads):
-            seen = [points, of_nodes, self._of_node, looks, pieces, emitters.board, emitters.wavelength_m, WIDEST]
+            arguments = [points, of_nodes, self._of_node, looks, pieces, emitters.board, emitters.wavelength_m, WIDEST]
             dim = count, emitters.count, outline.LANES
-            across.append([make(outline.look_across, dim, [*seen, self._across.array, first], device)])
+            across.append([make(outline.look_across, dim, [*arguments, self._across.array, first], device)])
         weigh: list[Calls] = []
         give: list[Calls] = []
         blocks, parts = emitters.blocks * (kernels.WIDTH["cpu"] // width), PARTS_PER_THREAD * self._threads

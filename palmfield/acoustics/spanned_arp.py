@@ -94,26 +94,26 @@ class SpannedArp:
         if np.maximum.reduce(_squares(rest)) > OUT_OF_SPAN**2 * np.maximum.reduce(_squares(drives)):
             return None
         room = self._rooms.get(len(drives)) or self._new_room(len(drives))
-        taken, result, blocks, threads = room
-        taken[..., 0], taken[..., 1] = shares.real, shares.imag
+        share_parts, result, blocks, threads = room
+        share_parts[..., 0], share_parts[..., 1] = shares.real, shares.imag
         share(blocks, threads)
         return result
 
     def _new_room(self, count: int) -> tuple[Float32, Float32, list[Calls], int]:
         parts = self.fields.fields
         blocks, order, _ = parts.shape
-        taken: Any = wp.zeros((count, order), dtype=wp.vec2, device="cpu")
+        share_parts: Any = wp.zeros((count, order), dtype=wp.vec2, device="cpu")
         result: Any = wp.zeros((count, blocks), dtype=kernels.lanes, device="cpu")
         threads = max(1, min(cores(), count * parts.size * kernels.WIDTH // NUMBERS_PER_THREAD))
         size = max(-(-blocks // (1 if threads == 1 else 4 * threads)), 1)
         calls: list[Calls] = []
         for first in range(0, blocks, size):
             own = slice(first, min(first + size, blocks))
-            inputs = [parts[own], taken, wp.vec3(*self.fields.weights), result[:, own]]
+            inputs = [parts[own], share_parts, wp.vec3(*self.fields.weights), result[:, own]]
             launch: Callable[[], object] = recorded(kernels.arp_in_span, own.stop - own.start, inputs, "cpu")
             calls.append((launch,))
-        seen = result.numpy().reshape(count, -1)[:, : self.fields.count]
-        room = self._rooms[count] = taken.numpy(), seen, calls, threads
+        view = result.numpy().reshape(count, -1)[:, : self.fields.count]
+        room = self._rooms[count] = share_parts.numpy(), view, calls, threads
         return room
 
 

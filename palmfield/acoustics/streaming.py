@@ -47,10 +47,10 @@ def wind(step_m: float, pressures_Pa: Complex, air: Air, frequency_Hz: float) ->
     sigma = np.array([steepening(pressures_Pa[: i + 1], step_m, air, frequency_Hz) for i in range(len(arp))])
     s = np.clip(sigma, 1e-3, LAST_SIGMA)
     line = absorption_Np_m(air, frequency_Hz)
-    taken = line * 2.0 / s**2 * (1.0 / np.sqrt(1.0 - s**2) - 1.0)
+    absorbed = line * 2.0 / s**2 * (1.0 / np.sqrt(1.0 - s**2) - 1.0)
     shock = (1.0 - arp_left(float(sigma[-1]))) / 2.0
-    pressure = float(np.trapezoid(taken * arp, dx=step_m)) + shock * float(arp[-1])
-    force = float(np.trapezoid(taken, dx=step_m)) + shock
+    pressure = float(np.trapezoid(absorbed * arp, dx=step_m)) + shock * float(arp[-1])
+    force = float(np.trapezoid(absorbed, dx=step_m)) + shock
     speed = math.sqrt(2.0 * pressure / density(air))
     forced_m = float(np.trapezoid(arp, dx=step_m) / arp.max())
     return Wind(pressure, speed, force, 2.0 * (force - line * step_m * (len(arp) - 1)), 2.0 * forced_m / speed)

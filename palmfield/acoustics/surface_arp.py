@@ -309,8 +309,8 @@ class SurfaceArp:
 
     def _run_on_gpu(self, blocks: list[Calls], drives: int, sums: "_Sums | None") -> None:
         """Run launches, with copies to and from the device, for the ARP of sums or the sound of a number of drives."""
-        taken = [self._points, self._normals, self._sounding]
-        for values in taken if sums is None else [*taken, sums.levels]:
+        arrays = [self._points, self._normals, self._sounding]
+        for values in arrays if sums is None else [*arrays, sums.levels]:
             values.upload()
         for group in self._group_drives:
             group.upload()

@@ -50,9 +50,9 @@ def surface_gradient(vertices: Float, faces: Int, values: Complex) -> Complex:
         weight = np.where(valid, np.maximum(facing - LEAST_COSINE, 0.0) / (NEARNESS + x**2 + y**2) ** 2, 0.0)
         terms = np.stack([x**a * y**b for a, b in POWERS], axis=2)
         weighted = terms * weight[..., None]
-        left = weighted.transpose(0, 2, 1) @ terms
-        left += RIDGE * np.einsum("naa->n", left)[:, None, None] * np.eye(len(POWERS))
+        gram = weighted.transpose(0, 2, 1) @ terms
+        gram += RIDGE * np.einsum("naa->n", gram)[:, None, None] * np.eye(len(POWERS))
         moments = weighted.transpose(0, 2, 1) @ np.stack([values[neighbours].real, values[neighbours].imag], axis=2)
-        fitted = (np.linalg.solve(left, moments) @ np.array([1.0, 1j])) / scale[:, None]
+        fitted = (np.linalg.solve(gram, moments) @ np.array([1.0, 1j])) / scale[:, None]
         result[rows] = fitted[:, 2, None] * right[rows] + fitted[:, 1, None] * up[rows]
     return result

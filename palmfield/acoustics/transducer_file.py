@@ -7,7 +7,7 @@ import numpy as np
 
 from palmfield.acoustics.placement import from_poses
 from palmfield.errors import SceneError
-from palmfield.tables import read_table, taken
+from palmfield.tables import pop_columns, read_table
 from palmfield.types import Array, Float
 
 LENGTHS_m = {"m": 1.0, "mm": 1e-3}
@@ -55,11 +55,11 @@ def read_transducers(path: str | Path) -> TransducerTable:
     if len(units) != 1:
         raise SceneError(f"{file}: columns are {', '.join(columns)}; give x_m, y_m, z_m or x_mm, y_mm, z_mm")
     coordinates = [f"{axis}_{units[0]}" for axis in "xyz"]
-    positions = taken(file, columns, coordinates) * LENGTHS_m[units[0]]
+    positions = pop_columns(file, columns, coordinates) * LENGTHS_m[units[0]]
     _check_places(file, positions, places)
     normals = np.tile([0.0, 0.0, 1.0], (len(places), 1))
     if any(name in columns for name in NORMAL):
-        normals = taken(file, columns, NORMAL)
+        normals = pop_columns(file, columns, NORMAL)
         lengths = np.linalg.norm(normals, axis=1)
         if lengths.min() < 1e-6:
             n = int(np.argmin(lengths))

@@ -74,9 +74,9 @@ def record(
             pass
         for line in (listener.report(), *listener.reported):
             print(line)
-        if listener.taken < 2:
+        if listener.received < 2:
             raise SceneError(
-                f"only {listener.taken} valid samples arrived within {wait:g} s; needed: 2 or more; check the "
+                f"only {listener.received} valid samples arrived within {wait:g} s; needed: 2 or more; check the "
                 "address and the format of the tracker"
             )
         write_stream(out, listener.stream())

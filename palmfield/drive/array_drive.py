@@ -390,7 +390,7 @@ class ArrayDrive:
         stored: dict[bytes, Complex] = {}
         uneven = focal_points.table is not None or focal_points.arp
         for i in range(rows):
-            for j, taken in enumerate(columns_of):
+            for j, emitting in enumerate(columns_of):
                 if audible is not None and not audible[i, j]:
                     continue
                 key = points[i, j].tobytes()
@@ -398,7 +398,7 @@ class ArrayDrive:
                 if unit is None:
                     loudness = focal_points.loudness(points[i, j]) if uneven else None
                     unit = stored[key] = self.unit_drive(focal_points.at(points[i, j]), loudness).amplitudes
-                drives[i, taken] = unit[taken]
+                drives[i, emitting] = unit[emitting]
         return drives
 
 

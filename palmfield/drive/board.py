@@ -15,7 +15,7 @@ from palmfield.errors import DeviceError
 from palmfield.types import Air, Complex, Float
 
 AmplitudeKind = Literal["continuous", "on_off", "pulse_width"]
-HELD_BACK_S = 0.1
+TWIN_DELAY_S = 0.1
 """Longer than the delay of whole frames in any board, and shorter than any watchdog."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
@@ -274,7 +274,7 @@ class Board:
         """Return the emission of a board just switched on after each change, shape (n,) each."""
         twin = self.wired_twin()
         changes = twin.take(data)
-        return list(map(attrgetter("amplitudes"), (*changes, *twin.until(twin.time_s + HELD_BACK_S))))
+        return list(map(attrgetter("amplitudes"), (*changes, *twin.until(twin.time_s + TWIN_DELAY_S))))
 
     def _input(self) -> str:
         return "no bytes" if self.exact else "a focus" if self.takes == "focus" else "amplitudes"

@@ -343,8 +343,8 @@ def lbfgs(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple
 
     with one_blas_thread:  # threads of the BLAS made these small products 40 times slower
         for stage, sharpness in enumerate(SHARPNESS):
-            left = (count - (len(residual) - 1)) // (len(SHARPNESS) - stage)
-            if left > 0:
+            evaluations = (count - (len(residual) - 1)) // (len(SHARPNESS) - stage)
+            if evaluations > 0:
                 solution = scipy.optimize.minimize(
                     soft_minimum,
                     angles,
@@ -352,7 +352,7 @@ def lbfgs(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple
                     method="L-BFGS-B",
                     jac=True,
                     callback=note,
-                    options={"maxiter": left, "ftol": 1e-12, "gtol": 1e-9},
+                    options={"maxiter": evaluations, "ftol": 1e-12, "gtol": 1e-9},
                 )
                 angles = solution.x
     return np.exp(1j * angles), residual

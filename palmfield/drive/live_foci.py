@@ -88,9 +88,9 @@ class FocusListener(LineListener):
 
     def report(self) -> str:
         """Return the numbers of used and skipped lines, in words."""
-        return f"{self.taken} foci received, {sum(self.bad.values())} lines skipped{self.skipped()}"
+        return f"{self.received} foci received, {sum(self.bad.values())} lines skipped{self.skipped()}"
 
-    def take(self, line: bytes, came_s: float) -> None:
+    def read_line(self, line: bytes, came_s: float) -> None:
         focus = read_focus(line, self._offset)
-        self._newest = Came(self.taken + 1, focus, came_s)
-        self.taken += 1
+        self._newest = Came(self.received + 1, focus, came_s)
+        self.received += 1

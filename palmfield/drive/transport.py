@@ -19,13 +19,13 @@ WRITE_TIMEOUT_S = 0.25
 TIMEOUTS_BEFORE_LOST = 8
 VIRTUAL_BAUD = 115200
 """Baud rate of a port whose board has none: sockets and pseudo-terminals accept any."""
-TAKEN_MARK = b"\x00pfVB\xff"
+COUNT_MARK = b"\x00pfVB\xff"
 """Mark before each number that a virtual board sends back: count of bytes read so far, 8 bytes, lowest first."""
-TAKEN_BYTES = len(TAKEN_MARK) + 8
-TOLD_WITHIN_S = 0.06
+COUNT_BYTES = len(COUNT_MARK) + 8
+REPORT_LIMIT_S = 0.06
 """A virtual board reports its number more often than this."""
 FIRST_LOOKS, FIRST_PATIENCE = 50, 4.0
-"""Number of tries to read the first number, and their total time in units of `TOLD_WITHIN_S`."""
+"""Number of tries to read the first number, and their total time in units of `REPORT_LIMIT_S`."""
 
 # pyserial does not catch termios.error, which is neither a SerialException nor an OSError and exists on POSIX only.
 LOST: tuple[type[Exception], ...] = (serial.SerialException, OSError)
@@ -81,7 +81,7 @@ class SerialTransport:
             self._fd: int | None = stream.fileno()
         except (AttributeError, io.UnsupportedOperation):
             self._fd = None
-        self._offered, self._taken, self._first_taken, self._received = 0, 0, -1, b""
+        self._offered, self._reported, self._first_reported, self._received = 0, 0, -1, b""
 
     def write(self, data: bytes) -> bool:
         """False after a write timeout: part of the bytes may be on the line, so never send the rest of them."""
@@ -109,40 +109,40 @@ class SerialTransport:
             return len(data) if self.write(data) else 0
         try:
             self._listen()
-            taken = os.write(self._fd, data)
+            written = os.write(self._fd, data)
         except BlockingIOError:
             return 0
         except LOST as error:
             raise PortLost(f"connection to {self.name} lost: {reason(error)}") from error
-        self._offered += taken
-        return taken
+        self._offered += written
+        return written
 
     @property
-    def tells(self) -> bool:
+    def is_virtual(self) -> bool:
         """Whether `waiting` counts all bytes that are not on the line: a virtual board at the other end reports it."""
-        return self._first_taken >= 0
+        return self._first_reported >= 0
 
     def waiting(self) -> int:
         try:
             if self._fd is not None:
                 self._listen()
-            if self.tells:
-                return max(0, self._offered - (self._taken - self._first_taken))
+            if self.is_virtual:
+                return max(0, self._offered - (self._reported - self._first_reported))
             return int(getattr(self._stream, "out_waiting", 0))
         except (NotImplementedError, AttributeError):
             return 0
         except LOST as error:
             raise PortLost(f"connection to {self.name} lost: {reason(error)}") from error
 
-    def hear_first(self) -> None:
+    def await_report(self) -> None:
         """Wait for the first number of a virtual board, if there is one; before any byte is written.
 
         It tries several times: on a machine that pauses the board is late too.
         """
         for _ in range(FIRST_LOOKS):
-            if self.tells:
+            if self.is_virtual:
                 return
-            time.sleep(TOLD_WITHIN_S / FIRST_LOOKS * FIRST_PATIENCE)
+            time.sleep(REPORT_LIMIT_S / FIRST_LOOKS * FIRST_PATIENCE)
             self.waiting()
 
     def _listen(self) -> None:
@@ -155,15 +155,15 @@ class SerialTransport:
         data = os.read(self._fd, 65536)
         if not data and self._is_socket:
             raise OSError(errno.EPIPE, os.strerror(errno.EPIPE))
-        self._received = (self._received + data)[-4 * TAKEN_BYTES :]
-        at = self._received.rfind(TAKEN_MARK)
-        if at > len(self._received) - TAKEN_BYTES:
-            at = self._received.rfind(TAKEN_MARK, 0, at)
+        self._received = (self._received + data)[-4 * COUNT_BYTES :]
+        at = self._received.rfind(COUNT_MARK)
+        if at > len(self._received) - COUNT_BYTES:
+            at = self._received.rfind(COUNT_MARK, 0, at)
         if at >= 0:
-            number = self._received[at + len(TAKEN_MARK) : at + TAKEN_BYTES]
-            self._taken = int.from_bytes(number, "little")
-            if self._first_taken < 0 and self._offered == 0:
-                self._first_taken = self._taken
+            number = self._received[at + len(COUNT_MARK) : at + COUNT_BYTES]
+            self._reported = int.from_bytes(number, "little")
+            if self._first_reported < 0 and self._offered == 0:
+                self._first_reported = self._reported
 
     def flush(self) -> None:
         try:

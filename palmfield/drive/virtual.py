@@ -14,14 +14,14 @@ from random import Random
 from typing import Literal, Self
 
 from palmfield.drive.board import Board, Emitted, Flag
-from palmfield.drive.transport import TAKEN_MARK, TOLD_WITHIN_S
+from palmfield.drive.transport import COUNT_MARK, REPORT_LIMIT_S
 from palmfield.errors import DeviceError
 from palmfield.realtime import realtime
 
 TICK_S = 0.5e-3
-TELLS_S = 4e-3
+REPORT_S = 4e-3
 """Interval of reports of the number of bytes read [s]; ten times longer while the number is unchanged."""
-assert 10 * TELLS_S < TOLD_WITHIN_S
+assert 10 * REPORT_S < REPORT_LIMIT_S
 BURST_S = 20e-3
 """Largest delay on the line that a late thread recovers in one read."""
 
@@ -46,8 +46,8 @@ class Faults:
         if self.drop == self.flip == 0.0:
             return data
         draw = self.draws.random
-        kept = [byte for byte in data if draw() >= self.drop]
-        return bytes(byte ^ (1 << self.draws.randrange(8)) if draw() < self.flip else byte for byte in kept)
+        passed = [byte for byte in data if draw() >= self.drop]
+        return bytes(byte ^ (1 << self.draws.randrange(8)) if draw() < self.flip else byte for byte in passed)
 
 
 THREAD_PRIORITY = 70
@@ -74,7 +74,7 @@ class VirtualBoard:
         decodes: bool = True,
     ) -> None:
         """tcp_port: 0 for any free one; link: name of the pseudo-terminal that is kept when it is plugged in again;
-        tells: whether it reports how many bytes it has taken; realtime: whether
+        tells: whether it reports how many bytes it has read; realtime: whether
         its thread requests priority, as a real board takes bytes at any load of the host; decodes: whether bytes are
         decoded as they come, or else when `decode` is called, to avoid delays
 
@@ -88,7 +88,7 @@ class VirtualBoard:
         self._began = time.monotonic()
         self._stalled, self._ended = threading.Event(), threading.Event()
         self._by, self._tcp_port, self._link = by, tcp_port, None if link is None else Path(link)
-        self._taken, self._tells = 0, tells
+        self._read_count, self._reports = 0, tells
         self._free_s = 0.0
         self._losing = 0
         self._realtime = realtime
@@ -119,9 +119,9 @@ class VirtualBoard:
 
     def settle(self, quiet_s: float = 0.1) -> None:
         """Wait until no bytes have come for a while."""
-        seen = -1
-        while seen != len(self.received):
-            seen = len(self.received)
+        before = -1
+        while before != len(self.received):
+            before = len(self.received)
             time.sleep(quiet_s)
 
     def decode(self) -> None:
@@ -235,26 +235,26 @@ class VirtualBoard:
             if not self._stalled.is_set() and allowed >= 1.0:
                 data = self._available(int(allowed))
                 if data:
-                    self._take(data, begin)
+                    self._receive(data, begin)
                     self._free_s = begin + self.line.time_s(len(data))
             if self._decodes:
                 self.emitted += self.twin.until(now)
-            if self._tells and now - reported_s >= (TELLS_S if self._taken != reported else 10.0 * TELLS_S):
-                reported, reported_s = self._taken, now
-                self._tell()
+            if self._reports and now - reported_s >= (REPORT_S if self._read_count != reported else 10.0 * REPORT_S):
+                reported, reported_s = self._read_count, now
+                self._report()
 
-    def _tell(self) -> None:
-        """Report how many bytes were taken; unread reports are dropped."""
-        number = TAKEN_MARK + self._taken.to_bytes(8, "little")
+    def _report(self) -> None:
+        """Report how many bytes were read; unread reports are dropped."""
+        number = COUNT_MARK + self._read_count.to_bytes(8, "little")
         with contextlib.suppress(OSError):
             if self._slave >= 0:
                 os.write(self._master, number)
             elif self._peer is not None:
                 self._peer.send(number)
 
-    def _take(self, data: bytes, begin: float) -> None:
-        """Take bytes that are consecutive on the line from `begin` on."""
-        self._taken += len(data)
+    def _receive(self, data: bytes, begin: float) -> None:
+        """Read bytes that are consecutive on the line from `begin` on."""
+        self._read_count += len(data)
         self.received += data
         through = self.faults.through(data[self._losing :])
         self._losing = max(0, self._losing - len(data))

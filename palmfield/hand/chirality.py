@@ -82,9 +82,9 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     nearer = float(way[tips[fingers]].min() - way[tips[thumb]]) / length
     # Web and tip alone are weak evidence of the thumb (mitten, bent thumb); together they are strong evidence
     of_web, nearest = np.clip([web_offset / CLEAR_WEB, nearer / CLEAR_TIP], -1.0, 1.0)
-    thumb_known = float(np.clip(of_web + nearest, 0.0, 1.0))
-    sureness = min(1.0, abs(evidence)) * thumb_known
-    by_name = sureness < LEAST_SURENESS <= thumb_known and named != "unknown"
+    thumb_sureness = float(np.clip(of_web + nearest, 0.0, 1.0))
+    sureness = min(1.0, abs(evidence)) * thumb_sureness
+    by_name = sureness < LEAST_SURENESS <= thumb_sureness and named != "unknown"
     right = named == "right" if by_name else evidence > 0.0
     palm = normal if right else -normal
     from_thumb = fingers[np.argsort([-(vertices[digits[i]].mean(axis=0) @ across) for i in fingers])]
@@ -96,7 +96,7 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
         f"{sign * of_tips:+.2f}"
     )
     if by_name:
-        return Chirality(named, thumb_known, palm, ordered, middle, f"from the joint names; {reason}")
+        return Chirality(named, thumb_sureness, palm, ordered, middle, f"from the joint names; {reason}")
     if sureness < LEAST_SURENESS:
         return Chirality("unknown", sureness, palm, ordered, middle, f"not sure: {reason}")
     return Chirality("right" if right else "left", sureness, palm, ordered, middle, reason)

@@ -84,8 +84,8 @@ def inward_directions(vertices: Float, faces: Int, smoothing_rounds: int = 5) ->
         links = sparse.csr_array(half + half.T)
         for _ in range(rounds):
             trial = _unit(normal + _unit(links @ normal))
-            keep = _least_cosine(trial, faces, unit) >= floor
-            normal[keep] = trial[keep]
+            accepted = _least_cosine(trial, faces, unit) >= floor
+            normal[accepted] = trial[accepted]
     return -normal
 
 

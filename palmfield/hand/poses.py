@@ -146,11 +146,11 @@ def posed_and_repaired(
     if len(pairs) == 0:
         return surface, None
     vertices = _pushed_apart(surface, pairs, repair_m) if repair_m > 0.0 else surface.vertices
-    left = crossings(vertices, surface.faces)
-    if len(left):
+    crossed = crossings(vertices, surface.faces)
+    if len(crossed):
         tried = f" even with repairs of up to {1e3 * repair_m:g} mm" if repair_m > 0.0 else ""
         raise SceneError(
-            f"hand pose: the skin intersects itself{tried}: {_described(hand, surface, left)}; bend these joints "
+            f"hand pose: the skin intersects itself{tried}: {_described(hand, surface, crossed)}; bend these joints "
             "less" + ("" if repair_m > 0.0 else ", or allow a repair (repair_m)")
         )
     moves = np.linalg.norm(vertices - surface.vertices, axis=1)

@@ -48,10 +48,10 @@ def strongest(weights: sparse.csr_array) -> tuple[Float, Int]:
     if dense.shape[1] < INFLUENCES:
         dense = np.pad(dense, ((0, 0), (0, INFLUENCES - dense.shape[1])))
     columns = np.argsort(-dense, axis=1, kind="stable")[:, :INFLUENCES]
-    kept = np.take_along_axis(dense, columns, axis=1)
+    largest = np.take_along_axis(dense, columns, axis=1)
     # Weights of zero refer to joint 0, so that all indices are valid
-    columns = np.where(kept > 0.0, columns, 0)
-    return kept / kept.sum(axis=1, keepdims=True), columns.astype(np.int32)
+    columns = np.where(largest > 0.0, columns, 0)
+    return largest / largest.sum(axis=1, keepdims=True), columns.astype(np.int32)
 
 
 def scaled(joints: Joints, metres: float) -> Joints:

@@ -27,7 +27,7 @@ WELD_TIME_s = 0.02
 """Time constant of the weld; with half of it, a wrist bone lighter than the hand oscillates in steps of 2 ms."""
 AXIS_SAMPLES, LEAST_RADIUS_m = 9, 1e-3
 _text = partial(numbers_text, digits=DIGITS_IN_FILE)
-TAKEN = ("world", "hand_target")
+RESERVED = ("world", "hand_target")
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
     """
     names = mesh.joints.names
     for joint in names:
-        if names.count(joint) > 1 or joint in TAKEN:
-            why = "is a reserved name in this file" if joint in TAKEN else f"names {names.count(joint)} joints"
+        if names.count(joint) > 1 or joint in RESERVED:
+            why = "is a reserved name in this file" if joint in RESERVED else f"names {names.count(joint)} joints"
             raise SceneError(f"rigged mesh: '{joint}' {why}; rename the joint and export the mesh again")
     places = mesh.joints.rest[:, :3, 3]
     parents = _one_root(mesh.joints.parents)

@@ -36,6 +36,6 @@ def crossings(vertices: Float, faces: Int) -> Int:
         )
         needed = int(count.numpy()[0])
         if needed <= room:
-            kept = pairs.numpy()[:needed]
-            return kept[np.lexsort((kept[:, 1], kept[:, 0]))].astype(np.int32)
+            found = pairs.numpy()[:needed]
+            return found[np.lexsort((found[:, 1], found[:, 0]))].astype(np.int32)
         room = needed

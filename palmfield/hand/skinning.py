@@ -55,8 +55,8 @@ def skin_weights(hand: ArticulatedHand, surface: Surface) -> Float:
     weights *= 1.0 - beyond[:, None]
     weights[:, names.index("forearm")] += beyond
     weights = _diffused(weights, surface)
-    smallest_kept = np.partition(weights, -BONES_PER_VERTEX, axis=1)[:, -BONES_PER_VERTEX]
-    weights[weights < np.maximum(smallest_kept, 1e-3)[:, None]] = 0.0
+    threshold = np.partition(weights, -BONES_PER_VERTEX, axis=1)[:, -BONES_PER_VERTEX]
+    weights[weights < np.maximum(threshold, 1e-3)[:, None]] = 0.0
     return weights / weights.sum(axis=1, keepdims=True)
 
 

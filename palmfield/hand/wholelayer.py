@@ -107,18 +107,18 @@ def facing_faces(surface: Surface, direction: ArrayLike = PALMAR, least_cosine: 
     Raises SceneError if there is no such face.
     """
     cosine = surface.normals @ np.asarray(direction, dtype=np.float64)
-    seen = cosine[surface.faces].mean(axis=1) > least_cosine
-    if not seen.any():
+    visible = cosine[surface.faces].mean(axis=1) > least_cosine
+    if not visible.any():
         raise SceneError(
             f"no face has a normal along {np.asarray(direction).tolist()} with a cosine of {least_cosine:g} or "
             "more; lower least_cosine"
         )
     area = face_normals(surface.vertices, surface.faces)[1]
     for facing in (True, False):
-        numbers = np.flatnonzero(seen == facing)
+        numbers = np.flatnonzero(visible == facing)
         if len(numbers):
-            seen[numbers[~largest_part(surface.faces[numbers], area[numbers])]] = not facing
-    return np.flatnonzero(seen).astype(np.int32)
+            visible[numbers[~largest_part(surface.faces[numbers], area[numbers])]] = not facing
+    return np.flatnonzero(visible).astype(np.int32)
 
 
 def _face_numbers(faces: ArrayLike | None, count: int) -> Int:

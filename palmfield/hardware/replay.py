@@ -12,7 +12,7 @@ from palmfield.acoustics.arrays import LAYOUTS, layout
 from palmfield.acoustics.reference import pressure64
 from palmfield.config import DriverConfig, parse
 from palmfield.config.driver import SAFETY_KEYS
-from palmfield.drive.board import HELD_BACK_S, Board, Emitted
+from palmfield.drive.board import TWIN_DELAY_S, Board, Emitted
 from palmfield.drive.frame_log import LogHead, Piece
 from palmfield.drive.limits import SoundLimits
 from palmfield.errors import DeviceError, SceneError
@@ -111,7 +111,7 @@ def _emitted(board: Board, frames: list[tuple[float, bytes]]) -> list[Emitted]:
     for time_s, data in frames:
         begins = time_s - board.line.time_s(len(data))
         emitted += [*twin.until(begins), *twin.feed(data, begins)]
-    return emitted + twin.until(twin.time_s + HELD_BACK_S)
+    return emitted + twin.until(twin.time_s + TWIN_DELAY_S)
 
 
 def _frames(board: Board, pieces: list[Piece]) -> tuple[list[tuple[float, bytes]], int]:

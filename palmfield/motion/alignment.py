@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError, fault_of
 from palmfield.input_files import MOST_SETTINGS_BYTES, read_bytes, reading
-from palmfield.tables import read_table, taken
+from palmfield.tables import pop_columns, read_table
 from palmfield.transforms import Transform
 from palmfield.types import Float
 from palmfield.whole_files import write_text
@@ -93,7 +93,7 @@ def read_touches(path: str | Path) -> Touches:
     """Read touches from a CSV or NPZ table with COLUMNS. Raises SceneError for an invalid file."""
     file = Path(path)
     columns, _ = read_table(file)
-    table = taken(file, columns, COLUMNS)
+    table = pop_columns(file, columns, COLUMNS)
     return Touches(table[:, :3], table[:, 3:])
 
 
@@ -114,9 +114,9 @@ def align(touches: Touches) -> Alignment:
                 f"{1e3 * LEAST_SPREAD_M:g} mm or more away from it, because the rotation about the line is "
                 "undetermined"
             )
-    middle, seen = touches.array.mean(axis=0), touches.tracker.mean(axis=0)
-    turn = Rotation.align_vectors(touches.array - middle, touches.tracker - seen)[0]
-    position = middle - turn.apply(seen)
+    middle, tracked = touches.array.mean(axis=0), touches.tracker.mean(axis=0)
+    turn = Rotation.align_vectors(touches.array - middle, touches.tracker - tracked)[0]
+    position = middle - turn.apply(tracked)
     rest = touches.array - (turn.apply(touches.tracker) + position)
     rms = float(np.sqrt(np.mean((rest**2).sum(axis=1))))
     _refuse_mirrored(touches, rms)
@@ -169,14 +169,14 @@ def write_alignment(path: str | Path, alignment: Alignment) -> None:
 
 def _refuse_mirrored(touches: Touches, rms: float) -> None:
     """Raise SceneError for mirrored axes. Of equally good swaps and reversals, name the one with the least rotation."""
-    around, seen = (points - points.mean(axis=0) for points in (touches.array, touches.tracker))
+    around, tracked = (points - points.mean(axis=0) for points in (touches.array, touches.tracker))
     fits = []
     for first, second in ((0, 1), (0, 2), (1, 2), (0, 0), (1, 1), (2, 2)):
         change = np.eye(3)
         change[[first, second]] = change[[second, first]] if first != second else -change[[first, second]]
-        turn, left = Rotation.align_vectors(around, seen @ change)
+        turn, residual = Rotation.align_vectors(around, tracked @ change)
         what = f"{'xyz'[first]} and {'xyz'[second]} swapped" if first != second else f"{'xyz'[first]} reversed"
-        fits.append((float(turn.magnitude()), float(left) / np.sqrt(len(around)), what))
+        fits.append((float(turn.magnitude()), float(residual) / np.sqrt(len(around)), what))
     _, best, what = min(fits)
     if rms > 3.0 * TOUCH_SD_M and best < MIRRORED * rms:
         raise SceneError(

@@ -21,7 +21,7 @@ LOOK_S = 0.02
 """Largest time between two checks of the sockets while this process runs."""
 STALE_S = 0.1
 """Largest age of received data; older data are not used."""
-HELD_BACK, LINE_COSTS = 49152, 512
+QUEUED_BYTES, LINE_COSTS = 49152, 512
 """Number of queued bytes from which the system of the sender may queue further old bytes, and memory of the system per
 line. Linux blocks a sender that is not read at 94 kB, or at 142 lines of 50 bytes."""
 NEXT_SENDER_S = 1.0
@@ -60,14 +60,14 @@ class LineListener(Closing):
     silent for NEXT_SENDER_S. Other senders are refused. A connection with another protocol in its first line (for
     example an HTTP request) is closed. Lines queued for more than STALE_S, while this process did not run, are skipped.
 
-    host, port, by: address; taken: number of valid lines so far
+    host, port, by: address; received: number of valid lines so far
     bad: number of skipped lines of each kind; reported: text of the first errors of each kind
     """
 
     def __init__(self, host: str, port: int, by: By) -> None:
         """port: 0 for any free port. Raises DeviceError for an address at which it cannot listen."""
         refuse_unknown(DeviceError, "the protocol is {}", by, ("udp", "tcp"))
-        self.by, self.taken = by, 0
+        self.by, self.received = by, 0
         self.bad: Counter[str] = Counter()
         self.reported: list[str] = []
         self._ended, self._news = threading.Event(), threading.Condition()
@@ -89,7 +89,7 @@ class LineListener(Closing):
         self._thread.start()
 
     @abstractmethod
-    def take(self, line: bytes, came_s: float) -> None:
+    def read_line(self, line: bytes, came_s: float) -> None:
         """Process a line that arrived at a time of time.monotonic() [s]; called in the listening thread.
 
         Raises BadLine; any other exception counts as a garbled line.
@@ -106,9 +106,9 @@ class LineListener(Closing):
     def wait(self, after: int, timeout_s: float) -> bool:
         """Wait until more than `after` valid lines came; return whether they did. Raises DeviceError as `check`."""
         with self._news:
-            self._news.wait_for(lambda: self.taken > after or self._failed is not None, timeout_s)
+            self._news.wait_for(lambda: self.received > after or self._failed is not None, timeout_s)
         self.check()
-        return self.taken > after
+        return self.received > after
 
     def skip(self, kind: str, text: str) -> None:
         """Count a skipped line."""
@@ -215,7 +215,7 @@ class LineListener(Closing):
             rest[:] = last
             whole = lines if data and len(last) <= LONGEST_LINE else [*lines, last]
             good = all(self._line(name, line, since_s) for line in whole)
-            if waited > HELD_BACK:
+            if waited > QUEUED_BYTES:
                 self.skip("stale", f"{name} sent more than the queue holds, so its connection is closed")
                 good = False
             if not good or not data:
@@ -248,7 +248,7 @@ class LineListener(Closing):
             self.skip("garbled", f"garbled: {line[:60]!r} has more than {LONGEST_LINE} bytes; give one object per line")
             return False
         try:
-            self.take(line, came_s)
+            self.read_line(line, came_s)
         except BadLine as error:
             self.skip(error.kind, str(error))
             return has_door or error.kind not in FOREIGN

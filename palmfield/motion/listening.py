@@ -46,17 +46,17 @@ class Listener(LineListener):
 
     def stream(self) -> Stream:
         """Return all valid samples so far."""
-        taken = [arrived.sample for arrived in list(self.samples)]
+        samples = [arrived.sample for arrived in list(self.samples)]
         return Stream(
-            np.array([one.time_s for one in taken]),
-            *(np.array(part) for part in zip(*(one[1:] for one in taken), strict=True)),
+            np.array([one.time_s for one in samples]),
+            *(np.array(part) for part in zip(*(one[1:] for one in samples), strict=True)),
         )
 
     def report(self) -> str:
         """Return the numbers of used and skipped samples as text."""
-        return f"{self.taken} samples taken, {sum(self.bad.values())} skipped{self.skipped()}"
+        return f"{self.received} samples taken, {sum(self.bad.values())} skipped{self.skipped()}"
 
-    def take(self, line: bytes, came_s: float) -> None:
+    def read_line(self, line: bytes, came_s: float) -> None:
         sample = read_sample(line)
         before, self._before = self._before, Arrived(came_s, sample)
         self._agreeing = self._agreeing + 1 if before is not None and _agree(before, self._before) else 0
@@ -73,7 +73,7 @@ class Listener(LineListener):
         arrived = self._before
         self.offset_s = min(self.offset_s, came_s - sample.time_s)
         self.samples.append(arrived)
-        self.taken += 1
+        self.received += 1
         if self._on_sample is not None:
             self._on_sample(arrived)
 

@@ -66,7 +66,7 @@ class LiveHand(Closing):
         self.newest: LivePose | None = None
         self.fit_s: list[float] = []
         self._thread = follower(self._follow)
-        self.listener = Listener(host, port, by, self._take)
+        self.listener = Listener(host, port, by, self._add_sample)
         self._thread.start()
 
     def wait(self, timeout_s: float) -> LivePose:
@@ -100,7 +100,7 @@ class LiveHand(Closing):
         self.listener.close()
         self._thread.join()
 
-    def _take(self, arrived: Arrived) -> None:
+    def _add_sample(self, arrived: Arrived) -> None:
         sample = arrived.sample
         positions = self._to_world.points(sample.positions)
         with self._lock:

@@ -134,10 +134,10 @@ class Predictor:
         """Return positions, quaternions (w first), radii, flags and ages [s] of the joints at a time [s]."""
         positions, turned = self.frames(time_s)
         age = time_s - self._placed_s
-        seen, seen_turn = np.isfinite(self._placed_s), np.isfinite(self._turned_s)
+        located, oriented = np.isfinite(self._placed_s), np.isfinite(self._turned_s)
         # The flag `tracked` is only for joints that need no extrapolation over a gap.
-        fresh, fresh_turn = seen & (age <= self._predict_s), seen_turn & (time_s - self._turned_s <= self._predict_s)
-        flags = POSITION_VALID * seen + ORIENTATION_VALID * seen_turn
+        fresh, fresh_turn = located & (age <= self._predict_s), oriented & (time_s - self._turned_s <= self._predict_s)
+        flags = POSITION_VALID * located + ORIENTATION_VALID * oriented
         flags = flags + POSITION_TRACKED * fresh + ORIENTATION_TRACKED * fresh_turn
         return positions, turned, self._radius, flags, age
 

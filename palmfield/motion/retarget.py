@@ -146,9 +146,9 @@ class Follower:
 
     def follow(self, positions: Float, valid: Bool) -> Followed:
         """Return the pose for a packet, shapes (26, 3) [m] and (26,), which must fix the palm (`fixes_palm`)."""
-        seen = valid[self._rigid]
-        turn, shift = _rigid(self._palm[seen], positions[self._rigid][seen])
-        palm_misses = self._palm[seen] @ turn.T + shift - positions[self._rigid][seen]
+        visible = valid[self._rigid]
+        turn, shift = _rigid(self._palm[visible], positions[self._rigid][visible])
+        palm_misses = self._palm[visible] @ turn.T + shift - positions[self._rigid][visible]
         # Digits begin at the fitted palm, which has less noise than single knuckles and is defined if one is lost.
         joints, present = positions.copy(), valid.copy()
         joints[self._rigid], present[self._rigid] = self._palm @ turn.T + shift, True
@@ -195,10 +195,10 @@ def _palm_of(positions: Float, valid: Bool) -> Float:
         )
     for _ in range(2):
         total, count = np.zeros_like(shape), np.zeros((len(shape), 1))
-        for frame, seen in zip(positions, valid, strict=True):
-            turn, shift = _rigid(frame[seen], shape[seen])
-            total[seen] += frame[seen] @ turn.T + shift
-            count[seen] += 1.0
+        for frame, visible in zip(positions, valid, strict=True):
+            turn, shift = _rigid(frame[visible], shape[visible])
+            total[visible] += frame[visible] @ turn.T + shift
+            count[visible] += 1.0
         shape = total / count
     return shape
 

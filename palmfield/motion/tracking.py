@@ -80,8 +80,8 @@ def stream_report(stream: Stream) -> StreamReport:
     times = in_order.times_s
     valid = (in_order.flags & POSITION_VALID) != 0
     period = float(np.median(np.diff(times)))
-    seen = times[valid.any(axis=1)]
-    between = np.diff(np.concatenate([times[:1], seen, times[-1:]]))
+    valid_s = times[valid.any(axis=1)]
+    between = np.diff(np.concatenate([times[:1], valid_s, times[-1:]]))
     gaps = between[between > GAP * period]
     usual = between[(between > 0.0) & (between <= GAP * period)]
     return StreamReport(

@@ -13,7 +13,7 @@ from palmfield.hand.articulated import ArticulatedHand
 from palmfield.motion.joints import FARTHEST_M
 from palmfield.motion.keyframes import Curve, rising
 from palmfield.motion.pose import HandPose, checked_pose
-from palmfield.tables import read_table, taken, write_table
+from palmfield.tables import pop_columns, read_table, write_table
 from palmfield.types import Float
 
 AXES = ("x", "y", "z")
@@ -50,7 +50,7 @@ def read_trajectory(path: str | Path, hand: ArticulatedHand) -> Curve:
             f"{file}: {places[far[0]]}: the hand is {np.abs(positions[far[0]]).max():.3g} m away; allowed: at most "
             f"{FARTHEST_M:g} m; give metres in x_m, y_m, z_m, or millimetres in x_mm, y_mm, z_mm"
         )
-    quaternions = taken(file, columns, QUATERNION)
+    quaternions = pop_columns(file, columns, QUATERNION)
     lengths = np.linalg.norm(quaternions, axis=1)
     if np.any(lengths < 1e-6):
         raise SceneError(

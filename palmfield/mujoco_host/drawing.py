@@ -29,7 +29,7 @@ class Drawing:
     def __init__(self, model: ModelView, scene: int, options: int):
         self._scene = mirror("mjvScene").from_address(scene)
         raw = model.raw
-        self._kept = raw.ngeom + raw.nsite + raw.nskin + raw.nflex + SPARE
+        self._reserve = raw.ngeom + raw.nsite + raw.nskin + raw.nflex + SPARE
         self._options = mirror("mjvOption").from_address(options)
 
     def shows(self, kind: Literal["geom", "site"], group: int) -> bool:
@@ -39,7 +39,7 @@ class Drawing:
     @property
     def room(self) -> int:
         """Number of shapes that can still be added."""
-        return max(0, int(self._scene.maxgeom - self._scene.ngeom - self._kept))
+        return max(0, int(self._scene.maxgeom - self._scene.ngeom - self._reserve))
 
     def spheres(self, centres: Float, radius: Float | float, colours: Float) -> None:
         """Add spheres. centres: shape (n, 3); radius: [m], one or (n,); colours: shape (n, 4) or (4,)"""

@@ -44,5 +44,5 @@ def summed_gain(envelope: ArrayLike, step_s: float, tau_s: float) -> float:
         raise OutputError(f"the envelope has shape {power.shape}; give finite numbers of shape (n,), one or more")
     if not (tau_s > 0.0 and step_s > 0.0):
         raise OutputError(f"step_s {step_s:g}, tau_s {tau_s:g}; allowed: above 0")
-    kept = float(np.exp(-step_s / tau_s))
-    return float(np.sqrt(lfilter([1.0 - kept], [1.0, -kept], power).max()))
+    decay = float(np.exp(-step_s / tau_s))
+    return float(np.sqrt(lfilter([1.0 - decay], [1.0, -decay], power).max()))

@@ -683,8 +683,8 @@ def _lm_frequencies(config: StimulusConfig, rate: float) -> list[float]:
     points = points_a_turn(config)
     count = max(LM_SAMPLES, points * math.ceil(LM_SAMPLES / max(points, 1)))
     turns = (np.arange(count) + 0.5) / count
-    held = np.floor(turns * points) / points if points else turns
-    sizes = np.abs(np.fft.rfft(folded(2.0 * held, 1.0, closed=False)))[1:]
+    stepped = np.floor(turns * points) / points if points else turns
+    sizes = np.abs(np.fft.rfft(folded(2.0 * stepped, 1.0, closed=False)))[1:]
     sizes /= np.arange(1, len(sizes) + 1)
     most = max(1, math.floor(HIGHEST_HZ / rate))
     loud = [n for n in range(1, len(sizes) + 1) if sizes[n - 1] > HARMONIC * sizes.max() or n == 2]

@@ -250,17 +250,17 @@ def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
     points = [position]
     done = 0.0
     for leg in legs:
-        left = math.hypot(leg[0], leg[1])
+        remaining = math.hypot(leg[0], leg[1])
         entered = -1
-        while left > 0.0:
+        while remaining > 0.0:
             normal = mesh.normals[face]
             ahead = leg[0] * x + leg[1] * _cross(normal, x)
             ahead /= math.sqrt(ahead @ ahead)
             corner, way = _exit(mesh, face, position, ahead, entered)
-            if way >= left:
-                way, corner = left, -1
+            if way >= remaining:
+                way, corner = remaining, -1
             position = position + way * ahead
-            left -= way
+            remaining -= way
             done += way
             if way > 0.0:
                 faces.append(face)

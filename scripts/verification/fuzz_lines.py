@@ -185,12 +185,12 @@ class Sender:
     def _counted(self, lines: list[bytes]) -> Counter[str] | None:
         """How lines are counted; None where some waited too long, or nothing was heard of them."""
         listener, ends = self.listener, time.monotonic() + 10.0
-        taken, bad = listener.taken, Counter(listener.bad)
+        taken, bad = listener.received, Counter(listener.bad)
         assert self._out is not None
         self._out.sendall(b"".join(line + b"\n" for line in lines))
         while time.monotonic() < ends:
             listener.check()
-            counted = Counter({"taken": listener.taken - taken}) + (listener.bad - bad)
+            counted = Counter({"taken": listener.received - taken}) + (listener.bad - bad)
             if counted["stale"] or counted["second sender"] or counted.total() > len(lines):
                 return None
             if counted.total() == len(lines):
@@ -209,9 +209,9 @@ def sent(door: str, count: int, seed: int) -> tuple[Counter[tuple[str, str]], li
             if len(sender.faults) > 20:
                 break
         # After all of them a good line counts
-        taken = listener.taken
+        taken = listener.received
         sender.give("none", [_text(good(door, number + 9000 + n)).encode() for n in range(15)], number)
-        if listener.taken == taken:
+        if listener.received == taken:
             sender.faults.append(f"good lines of {door} were not taken: {listener.reported[-3:]}")
     outcomes, faults = sender.outcomes, sender.faults
     for text in listener.reported:

@@ -80,7 +80,7 @@ def test_no_web_page_moves_a_tracked_hand():
             page.request("POST", "/", sample * 20, {"Content-Type": "text/plain", "Origin": "http://evil.example"})
             page.getresponse()
         page.close()
-        assert listener.taken == 0 and dict(listener.bad) == {"garbled": 1}
+        assert listener.received == 0 and dict(listener.bad) == {"garbled": 1}
         with connected(listener.host, listener.port) as tracker:
             tracker.sendall(sample)
             assert listener.wait(0, 5.0)

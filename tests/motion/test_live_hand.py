@@ -36,7 +36,7 @@ def line_of(stream, n, **changes):
 
 def settled(listener, count):
     end = time.monotonic() + 20.0
-    while listener.taken + sum(listener.bad.values()) < count and time.monotonic() < end:
+    while listener.received + sum(listener.bad.values()) < count and time.monotonic() < end:
         time.sleep(0.005)
 
 

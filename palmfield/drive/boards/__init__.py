@@ -44,8 +44,8 @@ def board_named(name: str) -> Board:
 
 def playable_board(name: str) -> Board:
     """Return the board of a name, if it takes bytes. Raises DeviceError for others, naming those that do."""
-    takes_bytes = [board.name for board in BOARDS.values() if not board.exact]
-    refuse_unknown(DeviceError, "board {} is unknown", name, takes_bytes)
+    with_line = [board.name for board in BOARDS.values() if not board.exact]
+    refuse_unknown(DeviceError, "board {} is unknown", name, with_line)
     return board_named(name)
 
 

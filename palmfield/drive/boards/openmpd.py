@@ -18,7 +18,7 @@ HALF = STEPS // 2
 FRAME_BYTES = 2 * TRANSDUCERS
 FIRST = 0x80
 LINE = serial_line(250000)
-HELD_FRAMES = 32
+BUFFER_FRAMES = 32
 FRAME_PERIOD_S = 4 / 40e3
 OFF_FRAME = bytes([FIRST]) + bytes(FRAME_BYTES - 1)
 
@@ -87,8 +87,8 @@ class OpenMpdTwin(Twin):
         return changes + self.until(self.time_s)
 
     def _queue(self, frame: bytes) -> None:
-        if len(self._waiting) >= HELD_FRAMES:
-            self.flag("overrun", f"{HELD_FRAMES} frames are waiting already, so one is lost")
+        if len(self._waiting) >= BUFFER_FRAMES:
+            self.flag("overrun", f"{BUFFER_FRAMES} frames are waiting already, so one is lost")
             return
         tick_s = math.ceil(self.time_s / FRAME_PERIOD_S - 1e-6) * FRAME_PERIOD_S
         self._last_s = max(tick_s, self._last_s + FRAME_PERIOD_S)

@@ -205,10 +205,10 @@ def _unexplained(pressure: Complex, y: Complex) -> Float:
 def _odd(model: _Model, solution: _Found, y: Complex, present: np.ndarray) -> np.ndarray:
     """Return which columns are loud and do not fit their places, shape (n,)."""
     pressure = model.pressures(solution.unknown)[0] * present
-    left = np.array([_unexplained(pressure[:, [n]], y[:, [n]])[0, 0] for n in range(y.shape[1])])
+    residual = np.array([_unexplained(pressure[:, [n]], y[:, [n]])[0, 0] for n in range(y.shape[1])])
     loud = np.sqrt((np.abs(y) ** 2).sum(axis=0) / np.maximum((np.abs(pressure) ** 2).sum(axis=0), 1e-300))
-    usual = np.median(left[loud > 0.0])
-    return np.asarray((loud > DEAD * np.median(loud)) & (left > max(ODD, min(ODD_TIMES * usual, 0.5))))
+    usual = np.median(residual[loud > 0.0])
+    return np.asarray((loud > DEAD * np.median(loud)) & (residual > max(ODD, min(ODD_TIMES * usual, 0.5))))
 
 
 def _matched(
@@ -221,17 +221,17 @@ def _matched(
     place, fits = np.arange(y.shape[1]), np.ones(y.shape[1], bool)
     pressure = model.pressures(solution.unknown)[0]
     free = np.union1d(odd, np.flatnonzero(~_alive(solution.factor)))
-    left = np.array([_unexplained((pressure * present[:, [n]])[:, free], y[:, [n]])[0] for n in odd])
-    row, column = linear_sum_assignment(left)
-    best = left[row, column]
+    residual = np.array([_unexplained((pressure * present[:, [n]])[:, free], y[:, [n]])[0] for n in odd])
+    row, column = linear_sum_assignment(residual)
+    best = residual[row, column]
     # Probability that one of the free positions fits noise of m readings equally well
     chance = len(free) * best ** (present[:, odd].sum(axis=0) - 1)
     good = (best < ODD) & (chance < CHANCE)
     fits[odd] = good
-    taken = free[column[good]]
-    place[odd[good]] = taken
+    matched = free[column[good]]
+    place[odd[good]] = matched
     # A column without a match keeps its own position if that is free
-    idle, vacant = np.setdiff1d(free, odd[good]), np.setdiff1d(free, taken)
+    idle, vacant = np.setdiff1d(free, odd[good]), np.setdiff1d(free, matched)
     moved = np.setdiff1d(idle, vacant)
     place[moved] = np.setdiff1d(vacant, idle)
     return place, fits
@@ -264,8 +264,8 @@ def _solved(model: _Model, y: Complex, present: np.ndarray) -> _Found:
                 break
             share *= 0.5
         factor, unknown, common = moved, further, late
-        left = float((np.abs(y - pressure * factor) ** 2).sum())
-        sigma = max(math.sqrt(left / freedom), 1e-9 * loudness)
+        residual = float((np.abs(y - pressure * factor) ** 2).sum())
+        sigma = max(math.sqrt(residual / freedom), 1e-9 * loudness)
         if np.abs(step[2 * count :]).max() < CONVERGED:
             break
     else:
@@ -277,17 +277,17 @@ def _solved(model: _Model, y: Complex, present: np.ndarray) -> _Found:
     step = np.linalg.solve(normal, right)
     factor = factor + step[:count] + 1j * step[count : 2 * count]
     covariance = np.asarray(np.linalg.inv(normal), float)
-    return _Found(factor, unknown, common, covariance, math.sqrt(left / int(present.sum())) / loudness)
+    return _Found(factor, unknown, common, covariance, math.sqrt(residual / int(present.sum())) / loudness)
 
 
 def _best_factors(pressure: Complex, y: Complex) -> Complex:
     return np.asarray((pressure.conj() * y).sum(axis=0) / np.maximum((np.abs(pressure) ** 2).sum(axis=0), 1e-300))
 
 
-def _cost(left: Complex, factor: Complex, unknown: Float, common: float, sigma: float) -> float:
+def _cost(residual: Complex, factor: Complex, unknown: Float, common: float, sigma: float) -> float:
     """Cost that a step must reduce: unexplained readings, and deviations from the priors."""
     delays = np.where(_alive(factor), 0.5 * np.sin(2.0 * (np.angle(factor) - common)) / DELAYS_RAD, 0.0)
-    return float((np.abs(left) ** 2).sum()) / sigma**2 + float((unknown**2).sum() + (delays**2).sum())
+    return float((np.abs(residual) ** 2).sum()) / sigma**2 + float((unknown**2).sum() + (delays**2).sum())
 
 
 def _alive(factor: Complex) -> np.ndarray:
@@ -310,12 +310,12 @@ def _normal_equations(
     size = 2 * count + model.extra + 1
     normal, right = np.zeros((size, size)), np.zeros(size)
     sound = pressure * factor / sigma
-    left = (y - pressure * factor) * present / sigma
+    residual = (y - pressure * factor) * present / sigma
     unit = pressure / sigma
     power = (np.abs(unit) ** 2).sum(axis=0)
     real, imaginary = np.arange(count), np.arange(count, 2 * count)
     normal[real, real] = normal[imaginary, imaginary] = power
-    toward = (unit.conj() * left).sum(axis=0)
+    toward = (unit.conj() * residual).sum(axis=0)
     right[:count], right[count : 2 * count] = toward.real, toward.imag
     columns = np.zeros((model.extra, *y.shape), complex)
     for row, (rows, slope) in enumerate(slopes):
@@ -323,7 +323,7 @@ def _normal_equations(
     flat = columns.reshape(model.extra, -1)
     low, high = 2 * count, 2 * count + model.extra
     normal[low:high, low:high] = (flat.conj() @ flat.T).real
-    right[low:high] = (flat.conj() @ left.ravel()).real
+    right[low:high] = (flat.conj() @ residual.ravel()).real
     cross = (unit.conj() * columns).sum(axis=1)
     normal[low:high, :count], normal[low:high, count:low] = cross.real, cross.imag
     normal[:low, low:high] = normal[low:high, :low].T

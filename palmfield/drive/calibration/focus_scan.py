@@ -37,19 +37,19 @@ def fit_pose(
     reading farther than WITHIN_M from its focus.
     """
     aims, where = check.points(np.asarray(foci_m, float), np.float64), check.points(np.asarray(at, float), np.float64)
-    seen = np.asarray(pressures_Pa, float)
-    if not (len(aims) == len(where) == len(seen)) or len(seen) < 8:
+    measured = np.asarray(pressures_Pa, float)
+    if not (len(aims) == len(where) == len(measured)) or len(measured) < 8:
         raise PalmfieldError(
-            f"{len(aims)} foci, {len(where)} positions and {len(seen)} readings; needed: at least 8 of each"
+            f"{len(aims)} foci, {len(where)} positions and {len(measured)} readings; needed: at least 8 of each"
         )
-    if not np.all(np.isfinite(seen) & (seen >= 0.0)) or seen.max() == 0.0:
+    if not np.all(np.isfinite(measured) & (measured >= 0.0)) or measured.max() == 0.0:
         raise PalmfieldError("pressures_Pa has values that are negative or not finite, or only zeros: give amplitudes")
     foci, which = np.unique(aims, axis=0, return_inverse=True)
     drives = [compensate(array, focus(array, air, point)) for point in foci]
     start = np.zeros(3)
     for number, point in enumerate(foci):
         own = np.flatnonzero(which == number)
-        gap = where[own[np.argmax(seen[own])]] - point
+        gap = where[own[np.argmax(measured[own])]] - point
         if np.linalg.norm(gap[:2]) > WITHIN_M:
             raise PalmfieldError(
                 f"the loudest reading of the focus at {point.tolist()} m is "
@@ -59,24 +59,24 @@ def fit_pose(
         start += gap * [1.0, 1.0, 0.0] / len(foci)
     turning = len(foci) >= 3 and np.linalg.matrix_rank(foci - foci.mean(axis=0), tol=1e-3) >= 2
 
-    def left(unknown: Float) -> Float:
+    def residual(unknown: Float) -> Float:
         turn = unknown[3:] * TURN_SD_RAD if turning else np.zeros(3)
         moved = placed(array, unknown[:3] * OFFSET_SD_M, Rotation.from_rotvec(turn).as_matrix())
         model = np.empty(len(where))
         for number, drive in enumerate(drives):
             own = which == number
             model[own] = np.abs(pressure64(where[own], moved, drive, air)[0])
-        scale = float(model @ seen) / float(model @ model)
-        return np.asarray((seen - scale * model) / (0.03 * seen.max()))
+        scale = float(model @ measured) / float(model @ model)
+        return np.asarray((measured - scale * model) / (0.03 * measured.max()))
 
     begin = np.concatenate([start / OFFSET_SD_M, np.zeros(3 if turning else 0)])
     # The unknowns are in units of their prior standard deviations, so they are also the residuals of the priors
-    fit = least_squares(lambda unknown: np.concatenate([left(unknown), unknown]), begin, x_scale=0.1)
+    fit = least_squares(lambda unknown: np.concatenate([residual(unknown), unknown]), begin, x_scale=0.1)
     if not fit.success:
         raise PalmfieldError(
             f"the fit of the board position does not converge ({fit.message}): scan closer to the foci"
         )
-    rest = left(fit.x)
+    rest = residual(fit.x)
     noise = math.sqrt(float(rest @ rest) / max(len(rest) - len(fit.x) - 1, 1))
     errors = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))) * max(noise, 1e-9)
     # The distance of a focus changes by the relative error of the speed of sound

@@ -52,19 +52,19 @@ def fit_sweep(
     resonance outside the sweep.
     """
     where = check.points(np.asarray(at, float), np.float64)
-    f, seen = np.asarray(frequencies_Hz, float), np.asarray(pressures_Pa, np.complex128)
-    if seen.shape != (len(where), len(f)) or len(where) < FEWEST or len(f) < 5:
+    f, measured = np.asarray(frequencies_Hz, float), np.asarray(pressures_Pa, np.complex128)
+    if measured.shape != (len(where), len(f)) or len(where) < FEWEST or len(f) < 5:
         raise PalmfieldError(
-            f"{len(where)} positions, {len(f)} frequencies and readings of shape {seen.shape}; needed: at least "
+            f"{len(where)} positions, {len(f)} frequencies and readings of shape {measured.shape}; needed: at least "
             f"{FEWEST} positions and 5 frequencies, and a reading for each pair"
         )
-    if not np.isfinite(seen).all() or not np.all((f >= LIMITS_HZ[0]) & (f <= LIMITS_HZ[1])):
+    if not np.isfinite(measured).all() or not np.all((f >= LIMITS_HZ[0]) & (f <= LIMITS_HZ[1])):
         raise PalmfieldError(f"readings are not finite, or frequencies outside {LIMITS_HZ[0]:g} to {LIMITS_HZ[1]:g} Hz")
     emitted = np.asarray(drive, np.complex128)
     sound = np.column_stack([pressure64(where, replace(array, frequency_Hz=float(x)), emitted, air)[0] for x in f])
-    start = float(f[np.argmax(np.abs(seen).mean(axis=0))])
-    each = np.array([_pole(sound[m : m + 1], f, seen[m : m + 1], start)[:2] for m in range(len(where))])
-    resonance, quality, misfit = _pole(sound, f, seen, start)
+    start = float(f[np.argmax(np.abs(measured).mean(axis=0))])
+    each = np.array([_pole(sound[m : m + 1], f, measured[m : m + 1], start)[:2] for m in range(len(where))])
+    resonance, quality, misfit = _pole(sound, f, measured, start)
     if not f.min() < resonance < f.max():
         raise PalmfieldError(
             f"the fitted resonance of {resonance:.0f} Hz is outside the sweep ({f.min():.0f} to {f.max():.0f} "
@@ -74,27 +74,27 @@ def fit_sweep(
     return SweepFit(resonance, float(errors[0]), quality, float(errors[1]), misfit)
 
 
-def _pole(sound: Complex, f: Float, seen: Complex, start: float) -> tuple[float, float, float]:
+def _pole(sound: Complex, f: Float, measured: Complex, start: float) -> tuple[float, float, float]:
     """Resonance [Hz], quality, and relative rms of the residual, with the best factor for each place."""
-    scale = np.abs(seen).max(axis=1, keepdims=True)
-    places = len(seen)
+    scale = np.abs(measured).max(axis=1, keepdims=True)
+    places = len(measured)
 
     def rest(unknown: Float) -> Complex:
         late = np.exp(2j * math.pi * DELAY_SD_S * unknown[2:, None] * (f - start))
         model = sound * late * response_at(f, start + 100.0 * unknown[0], math.exp(unknown[1]))
-        factor = (model.conj() * seen).sum(axis=1) / (np.abs(model) ** 2).sum(axis=1)
-        return np.asarray(seen - factor[:, None] * model)
+        factor = (model.conj() * measured).sum(axis=1) / (np.abs(model) ** 2).sum(axis=1)
+        return np.asarray(measured - factor[:, None] * model)
 
-    def left(unknown: Float) -> Float:
+    def residual(unknown: Float) -> Float:
         noise = rest(unknown) / scale / NOISE
         return np.concatenate([noise.real.ravel(), noise.imag.ravel(), unknown[2:]])
 
     # Q from 5 to 200: the range of real transducers
     low, high = [-50.0, math.log(5.0)], [50.0, math.log(200.0)]
     solution = least_squares(
-        left, [0.0, math.log(25.0)] + [0.0] * places, bounds=(low + [-np.inf] * places, high + [np.inf] * places)
+        residual, [0.0, math.log(25.0)] + [0.0] * places, bounds=(low + [-np.inf] * places, high + [np.inf] * places)
     )
-    misfit = float(np.sqrt((np.abs(rest(solution.x)) ** 2).sum() / (np.abs(seen) ** 2).sum()))
+    misfit = float(np.sqrt((np.abs(rest(solution.x)) ** 2).sum() / (np.abs(measured) ** 2).sum()))
     return start + 100.0 * float(solution.x[0]), math.exp(float(solution.x[1])), misfit
 
 

@@ -74,13 +74,13 @@ def put_elements(
     element = _whole(file, columns, "element", len(array))
     _check_version(file, columns, array.name)
     at, place = np.unique(_places(columns), axis=0, return_inverse=True)
-    seen = np.full((len(at), len(array)), np.nan, complex)
-    seen[place, element] = _complex(columns)
+    readings = np.full((len(at), len(array)), np.nan, complex)
+    readings[place, element] = _complex(columns)
     fit = fit_elements(
         array,
         under.air,
         at,
-        seen,
+        readings,
         place_sd_m=under.place_sd_m,
         temperature_sd_K=under.temperature_sd_K,
     )
@@ -129,8 +129,8 @@ def put_level(
     has = [name for name in ("pressure_Pa", "force_N") if name in columns]
     if len(has) != 1:
         raise SceneError(f"{file}: columns are {', '.join(columns)}; give level and either pressure_Pa or force_N")
-    seen = columns[has[0]]
-    level = fit_level(columns["level"], np.sqrt(np.maximum(seen, 0.0)) if has[0] == "force_N" else seen)
+    readings = columns[has[0]]
+    level = fit_level(columns["level"], np.sqrt(np.maximum(readings, 0.0)) if has[0] == "force_N" else readings)
     end = "to full drive" if level.linear_to == 1.0 else f"to level {level.linear_to:g}, and saturates above it"
     report = (
         f"pressure is proportional to the level to the power {level.exponent:.3f} +- "
@@ -171,7 +171,7 @@ def put_focus(
 ) -> Measured:
     """Pressures about foci: see `fit_pose`."""
     if any(name in columns for name in FOCUS_XYZ):
-        commanded = np.column_stack([_taken(file, columns, name) for name in FOCUS_XYZ])
+        commanded = np.column_stack([_column(file, columns, name) for name in FOCUS_XYZ])
     elif under.focus_m is None:
         raise SceneError(
             f"{file}: the focus is missing; give columns {', '.join(FOCUS_XYZ)}, or one focus (--focus X Y Z)"
@@ -201,15 +201,15 @@ def put_sweep(
     """A sweep of the carrier: see `fit_sweep`."""
     at, place = np.unique(_places(columns), axis=0, return_inverse=True)
     f, which = np.unique(columns["frequency_Hz"], return_inverse=True)
-    seen = np.full((len(at), len(f)), np.nan, complex)
-    seen[place, which] = _complex(columns)
-    if np.isnan(seen).any():
-        m, q = np.argwhere(np.isnan(seen))[0]
+    readings = np.full((len(at), len(f)), np.nan, complex)
+    readings[place, which] = _complex(columns)
+    if np.isnan(readings).any():
+        m, q = np.argwhere(np.isnan(readings))[0]
         raise SceneError(
             f"{file}: no reading at {at[m].tolist()} m and {f[q]:g} Hz; give one for each position and frequency"
         )
     real = calibrated(array, calibration)
-    fit = fit_sweep(real, under.air, _drive(real, under), at, f, seen)
+    fit = fit_sweep(real, under.air, _drive(real, under), at, f, readings)
     quality = _estimate(fit.quality, 1.96 * fit.quality_sd / fit.quality, under.source)
     resonance = _estimate(fit.resonance_Hz, 1.96 * fit.resonance_sd_Hz / fit.resonance_Hz, under.source)
     report = (
@@ -270,7 +270,7 @@ def measured(kind: str, path: str | Path, calibration: Calibration, array: Array
     file, measurement = Path(path), MEASUREMENTS[kind]
     columns, _ = read_table(file)
     for name in measurement.columns:
-        _taken(file, columns, name)
+        _column(file, columns, name)
     unknown = [name for name in columns if name not in measurement.all_columns]
     if unknown:
         allowed = ", ".join(sorted(measurement.all_columns))
@@ -280,7 +280,7 @@ def measured(kind: str, path: str | Path, calibration: Calibration, array: Array
     return measurement.put(file, columns, calibration, array, under)
 
 
-def _taken(file: Path, columns: dict[str, Float], name: str) -> Float:
+def _column(file: Path, columns: dict[str, Float], name: str) -> Float:
     if name not in columns:
         raise SceneError(f"{file}: column '{name}' is missing; columns are: {', '.join(columns)}")
     return columns[name]
@@ -305,9 +305,9 @@ def _whole(file: Path, columns: dict[str, Float], name: str, count: int) -> np.n
 def _check_version(file: Path, columns: dict[str, Float], name: str) -> None:
     """Raises SceneError if transducers may be numbered by another version of the layout."""
     now = LAYOUTS[name].version
-    said = columns.get("layout_version", np.array([1.0]))
-    if (said != now).any():
-        old, earlier = said[said != now][0], LAYOUTS[name].earlier
+    versions = columns.get("layout_version", np.array([1.0]))
+    if (versions != now).any():
+        old, earlier = versions[versions != now][0], LAYOUTS[name].earlier
         raise SceneError(
             f"{file}: the transducers are numbered as in version {old:g} of the layout (column layout_version, 1 "
             f"if absent); allowed: {now} for '{name}': measure again (`palmfield calibrate sound`)"

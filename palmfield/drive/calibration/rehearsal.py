@@ -129,12 +129,12 @@ def _swept(board: Array, aimed: Complex, air: Air, random: np.random.Generator) 
     at = np.array(FOCUS_M) + random.uniform(-1.0, 1.0, (PLACES, 3)) * [3e-3, 3e-3, 10e-3]
     f = np.linspace(38e3, 42e3, 41)
     pole = response_at(f, RESONANCE_HZ, QUALITY)
-    seen = pole * np.column_stack([pressure64(at, replace(board, frequency_Hz=float(x)), aimed, air)[0] for x in f])
-    noise = random.normal(size=(2, *seen.shape)) * NOISE * np.abs(seen).max()
+    sound = pole * np.column_stack([pressure64(at, replace(board, frequency_Hz=float(x)), aimed, air)[0] for x in f])
+    noise = random.normal(size=(2, *sound.shape)) * NOISE * np.abs(sound).max()
     return (
         _places(np.repeat(at, len(f), axis=0))
         | {"frequency_Hz": np.tile(f, len(at))}
-        | _polar((seen + noise[0] + 1j * noise[1]).ravel())
+        | _polar((sound + noise[0] + 1j * noise[1]).ravel())
     )
 
 

@@ -7,7 +7,7 @@ from collections import deque
 from typing import NamedTuple
 
 from palmfield.drive.log_lines import log_line
-from palmfield.drive.player.line_clock import TOLD_LATE_S, LineClock
+from palmfield.drive.player.line_clock import READING_AGE_S, LineClock
 from palmfield.drive.player.messages import Job
 from palmfield.drive.ports import AUTD3, open_port
 from palmfield.drive.transport import PortLost, SerialTransport, Transport, may_be_virtual
@@ -16,7 +16,7 @@ from palmfield.errors import DeviceError
 now_s = time.monotonic
 RETRY_S = 20e-3
 """Delay after the system took only a part of a frame, or none [s]."""
-MOST_KEPT = 1_000_000
+MOST_RECORDED = 1_000_000
 """Largest number of frames whose delays are kept."""
 
 
@@ -59,12 +59,12 @@ class BoardEnd:
     def _open(self) -> Transport:
         port = open_port(self.job.port, self.job.baud)
         if isinstance(port, SerialTransport) and may_be_virtual(self.job.port):
-            port.hear_first()
+            port.await_report()
         return port
 
     def free_s(self, now: float) -> float:
         """When the line is free. Raises PortLost if the port is lost, or has taken no bytes for long."""
-        self._hear(now)
+        self._poll(now)
         if self.line.stuck_s(now) > self.job.lost_s and (self._refused_s is not None or self._on_its_way):
             raise self._stuck()
         return self.line.free_s(now)
@@ -77,13 +77,13 @@ class BoardEnd:
     def _stuck(self) -> PortStuck:
         return PortStuck(f"{self.job.port} has accepted no bytes for {self.job.lost_s:g} s")
 
-    def _hear(self, now: float) -> None:
+    def _poll(self, now: float) -> None:
         port = self._open_port()
-        out = self.line.hear(port.waiting(), now, self._refused_s is not None)
+        out = self.line.note_waiting(port.waiting(), now, self._refused_s is not None)
         while self._on_its_way and self._on_its_way[0].end <= out:
             frame = self._on_its_way.popleft()
             # The clock of this process is finer, unless the line was blocked
-            self.late_s[frame.number] = max(self.late_s[frame.number], now - TOLD_LATE_S - frame.due_s)
+            self.late_s[frame.number] = max(self.late_s[frame.number], now - READING_AGE_S - frame.due_s)
 
     def hand(self, data: bytes, due_s: float, planned_s: float, number: int = -1) -> bool:
         """Write a frame; False if the system did not take all of it: then send a frame from its start.
@@ -96,7 +96,7 @@ class BoardEnd:
         if not self._offer(data, began):
             return False
         self.frames += 1
-        if len(self.late_s) < MOST_KEPT:
+        if len(self.late_s) < MOST_RECORDED:
             self.write_late_s.append(now_s() - planned_s)
             self.late_s.append(self.line.free_s(began) - due_s)
             if number >= 0 and self.job.tells_frames:
@@ -111,14 +111,14 @@ class BoardEnd:
     def _offer(self, data: bytes, now: float) -> bool:
         self.sounding = True
         port = self._open_port()
-        taken = port.offer(data) if isinstance(port, SerialTransport) else len(data) * port.write(data)
-        if taken:
-            self.line.hand(taken, now)
+        written = port.offer(data) if isinstance(port, SerialTransport) else len(data) * port.write(data)
+        if written:
+            self.line.hand(written, now)
             if self._log >= 0:
-                self._unwritten.append(log_line(now - self.begin_s, data, whole=taken == len(data)))
-        whole = taken == len(data)
+                self._unwritten.append(log_line(now - self.begin_s, data, whole=written == len(data)))
+        whole = written == len(data)
         self._refused_s = None if whole else now
-        self.cut += 0 < taken < len(data)
+        self.cut += 0 < written < len(data)
         return whole
 
     def _open_port(self) -> Transport:
@@ -148,7 +148,7 @@ class BoardEnd:
 
     def _wait_for_line(self, began: float, rest: float) -> None:
         now = now_s()
-        self._hear(now)
+        self._poll(now)
         if self.line.stuck_s(now) > self.job.lost_s and now - began > self.job.lost_s:
             raise self._stuck()
         time.sleep(min(rest, RETRY_S))

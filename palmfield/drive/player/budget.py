@@ -8,12 +8,12 @@ class SoundBudget:
     """on_time_s: longest total, 0 for any; duty: largest share of time with sound, over about window_s
 
     Allowed time accumulates at the rate `duty`, up to that share of the window, and is used up by sound. Once it is
-    spent there is silence until half of it is restored. said: why sound is not allowed, in words
+    spent there is silence until half of it is restored. reason: why sound is not allowed, in words
     """
 
     def __init__(self, on_time_s: float = 0.0, duty: float = 1.0, window_s: float = WINDOW_S) -> None:
         self.on_time_s, self.duty, self.window_s = on_time_s, duty, window_s
-        self.said = ""
+        self.reason = ""
         self.sounded_s = 0.0
         self._saved_s = duty * window_s
         self._last_s: float | None = None
@@ -28,9 +28,9 @@ class SoundBudget:
             self.sounded_s += passed
             self._saved_s -= passed
         if self.on_time_s and self.sounded_s >= self.on_time_s:
-            self.said = f"the time with sound has reached {self.on_time_s:g} s, the limit on_time_s"
+            self.reason = f"the time with sound has reached {self.on_time_s:g} s, the limit on_time_s"
         elif self.duty < 1.0 and self._saved_s <= 0.0:
-            self.said = f"the share of time with sound exceeds {self.duty:g}, the limit duty"
+            self.reason = f"the share of time with sound exceeds {self.duty:g}, the limit duty"
         elif self._saved_s >= 0.5 * most or self.duty >= 1.0:
-            self.said = ""
-        return not self.said
+            self.reason = ""
+        return not self.reason

@@ -165,12 +165,12 @@ class Player:
         """
         made = time.monotonic() if made_s is None else made_s
         self._send(FRAME, LiveFrame(made, level, steps, due_s).packed())
-        self._take_lines()
+        self._read_lines()
 
     def mute(self) -> None:
         """Fade out live frames, until the next one."""
         self._send(MUTE)
-        self._take_lines()
+        self._read_lines()
 
     @property
     def played(self) -> PlayReport:
@@ -181,7 +181,7 @@ class Player:
 
     def check(self) -> None:
         """Raises DeviceError if the board is lost or the player has died since its last message."""
-        self._take_lines()
+        self._read_lines()
 
     # -- messages of the player ----------------------------------------------------------------------------------------
 
@@ -206,7 +206,7 @@ class Player:
         """Return the first line with that key. Raises DeviceError when the player fails or ends before."""
         while ends_s is None or time.monotonic() < ends_s:
             select.select([self._talk], [], [], 0.1)
-            for line in self._take_lines():
+            for line in self._read_lines():
                 if key in line:
                     return line
                 if "progress" in line and on_progress is not None:
@@ -219,7 +219,7 @@ class Player:
             f"the player process did not respond for {STARTS_WITHIN_S:g} s; check whether the machine is overloaded"
         )
 
-    def _take_lines(self) -> list[dict[str, Any]]:
+    def _read_lines(self) -> list[dict[str, Any]]:
         self._inbox.read()
         lines = []
         for line in self._inbox.lines():
@@ -247,10 +247,10 @@ class Player:
         sounds = self.board.when_host_dies if end["why_on"] else "the board is off"
         why = f" ({end['why_on']})" if end["why_on"] else ""
         if end["lost"]:
-            said = f"lost the board on {self.port} after {end['played']['frames']} frames: {end['lost']}"
+            what = f"lost the board on {self.port} after {end['played']['frames']} frames: {end['lost']}"
         else:
-            said = f"the player has ended: {end['broken'] or end['ended']}"
-        raise DeviceError(f"{said}; {sounds}{why}")
+            what = f"the player has ended: {end['broken'] or end['ended']}"
+        raise DeviceError(f"{what}; {sounds}{why}")
 
     def _died(self) -> None:
         """The process has ended without a message: the board is silenced from here. Raises DeviceError."""
@@ -285,7 +285,7 @@ class Player:
             while self._ended is None and not self._inbox.closed:
                 select.select([self._talk], [], [], 0.1)
                 try:
-                    self._take_lines()
+                    self._read_lines()
                 except DeviceError as lost:
                     error = error or lost
             self._process.wait(5.0)

@@ -2,7 +2,7 @@
 
 import math
 
-TOLD_LATE_S = 5e-3
+READING_AGE_S = 5e-3
 """Largest age of a reading of waiting bytes [s]."""
 LOOKS_S = 0.05
 """A late reading must persist this long before it is reported [s]."""
@@ -33,7 +33,7 @@ class LineClock:
         self._free_s = max(self._free_s, now_s) + count * self.byte_s
         return self._free_s
 
-    def hear(self, waiting: int, now_s: float, refused: bool) -> int:
+    def note_waiting(self, waiting: int, now_s: float, refused: bool) -> int:
         """Record the number of bytes that are not on the line yet; returns how many have been sent so far.
 
         refused: whether the system takes no more bytes
@@ -43,7 +43,7 @@ class LineClock:
             self._moved_s = now_s
         self._out = max(self._out, out)
         # Bytes not yet sent by a line with another rate than ours, or by a blocked line
-        self._free_s = max(self._free_s, now_s + waiting * self.byte_s - TOLD_LATE_S)
+        self._free_s = max(self._free_s, now_s + waiting * self.byte_s - READING_AGE_S)
         # A small constant count of waiting bytes is subtracted, because it never decreases
         self._least_s = min(self._least_s, now_s + waiting * self.byte_s - self._free_s)
         if self._since_s == -math.inf:

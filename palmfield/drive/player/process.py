@@ -52,7 +52,7 @@ def collect_no_garbage() -> None:
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
-def take_priority() -> str:
+def request_priority() -> str:
     """Request SCHED_FIFO and locked memory; returns the result in words, with reasons."""
     if not hasattr(os, "sched_setscheduler"):
         return "normal priority (this system has no SCHED_FIFO)"
@@ -63,10 +63,10 @@ def take_priority() -> str:
             f"normal priority ({(error.strerror or 'refused').lower()}: a line '@realtime - rtprio {PRIORITY}' in "
             "/etc/security/limits.conf permits SCHED_FIFO)"
         )
-    said = f"SCHED_FIFO {PRIORITY}"
+    result = f"SCHED_FIFO {PRIORITY}"
     if sys.platform == "linux" and ctypes.CDLL(None).mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
-        said += ", memory not locked"
-    return said
+        result += ", memory not locked"
+    return result
 
 
 class Caller:
@@ -139,7 +139,7 @@ class Caller:
             pass
         return True
 
-    def tell(self, **what: Any) -> None:
+    def send(self, **what: Any) -> None:
         """Send a line without waiting, since it may not be read."""
         with contextlib.suppress(OSError):
             self.talk.send(json.dumps(what).encode() + b"\n")
@@ -153,14 +153,14 @@ class Session:
         self.source: Source | None = None
         self._reported_s = 0.0
         self._frames_before = 0
-        self._said = ""
+        self._reason = ""
         self._first_sound_s: float | None = None
         self._last_sound_s: float | None = None
 
     def run(self) -> None:
         """Play until the caller ends it. Raises PortLost."""
         self.board.send_start()
-        self.caller.tell(ready=True, priority=self.priority, begin_s=self.board.begin_s)
+        self.caller.send(ready=True, priority=self.priority, begin_s=self.board.begin_s)
         while not self.caller.ended:
             self._obey(self.caller.listen())
             if self.caller.ended:
@@ -203,7 +203,7 @@ class Session:
                     )  # fmt: skip
                     self._begin(live)
                 assert isinstance(self.source, LiveSource)
-                self.source.take(LiveFrame.unpacked(data))
+                self.source.accept(LiveFrame.unpacked(data))
             elif kind == MUTE and isinstance(self.source, LiveSource):
                 self.source.muted = True
 
@@ -219,13 +219,13 @@ class Session:
         if choice is None:
             board.send_stop()
             self.source = None
-            self.caller.tell(played=self.report(source), off=True)
+            self.caller.send(played=self.report(source), off=True)
             return
         at = max(choice.at_s, board.retry_s)
         if at > now:
             if at - now > IDLE_S:
                 board.write_log()
-            self._tell_progress(source, now)
+            self._send_progress(source, now)
             if not self.caller.wait(at):
                 return
         if choice.data and board.hand(choice.data, choice.due_s, max(at, now), choice.number):
@@ -233,7 +233,7 @@ class Session:
             self._last_sound_s = board.line.free_s(now_s())
             if self._first_sound_s is None:
                 self._first_sound_s = self._last_sound_s
-                self.caller.tell(sounds_s=self._first_sound_s)
+                self.caller.send(sounds_s=self._first_sound_s)
 
     def _pause(self) -> None:
         """Be silent while the caller is stopped, then continue."""
@@ -246,15 +246,15 @@ class Session:
         if self.source is not None:
             self.source.shift(now_s() - began)
 
-    def _tell_progress(self, source: Source, now: float) -> None:
+    def _send_progress(self, source: Source, now: float) -> None:
         if now - self._reported_s < PROGRESS_S:
             return
         self._reported_s = now
-        if isinstance(source, LiveSource) and source.said != self._said:
-            self._said = source.said
-            if self._said:
-                self.caller.tell(silent=self._said)
-        self.caller.tell(progress=[self.board.frames - self._frames_before, source.skipped])
+        if isinstance(source, LiveSource) and source.reason != self._reason:
+            self._reason = source.reason
+            if self._reason:
+                self.caller.send(silent=self._reason)
+        self.caller.send(progress=[self.board.frames - self._frames_before, source.skipped])
 
     def report(self, source: Source | None) -> dict[str, Any]:
         """Report all frames of a source, as `PlayReport`."""
@@ -307,7 +307,7 @@ def silence(board: BoardEnd, caller: Caller, lost: str) -> str:
                 return f"the port has disappeared and did not return within {board.job.replug_s:g} s"
         if not reported:
             reported = True
-            caller.tell(lost=lost or "the port accepts no bytes", trying=True)
+            caller.send(lost=lost or "the port accepts no bytes", trying=True)
         caller.wait(now + LOOK_S)
 
 
@@ -326,11 +326,11 @@ def main() -> int:
     job = first_job(talk)
     talk.setblocking(False)
     collect_no_garbage()
-    priority = take_priority() if job.realtime else "normal priority (requested)"
+    priority = request_priority() if job.realtime else "normal priority (requested)"
     try:
         board = BoardEnd(job)
     except PalmfieldError as error:
-        caller.tell(failed=str(error))
+        caller.send(failed=str(error))
         return 1
     session = Session(board, caller, priority)
     lost, broken = "", ""
@@ -343,14 +343,14 @@ def main() -> int:
     except PalmfieldError as error:
         # Missing units that are opened by the first bytes
         board.close()
-        caller.tell(failed=str(error))
+        caller.send(failed=str(error))
         return 1
     except BaseException as error:
         broken = f"{type(error).__name__}: {error}"
     why = silence(board, caller, lost) if board.sounding or lost or broken else ""
     board.close()
     talk.setblocking(True)
-    caller.tell(
+    caller.send(
         ended=caller.ended, lost=lost, broken=broken, off=not why, why_on=why, played=session.report(session.source),
         log_error=board.log_error,
     )  # fmt: skip

@@ -102,7 +102,7 @@ class LiveSource:
 
     Frames with a due time wait for it, and of several due ones the newest is sent.
 
-    said: why it is silent, or ""; muted: by the caller
+    reason: why it is silent, or ""; muted: by the caller
     """
 
     def __init__(
@@ -118,10 +118,10 @@ class LiveSource:
         self.byte_s, self.stop, self.budget = byte_s, stop, budget
         self.ramp_s, self.stale_s, self.refresh_s = ramp_s, stale_s, refresh_s
         self.skipped = 0
-        self.said = ""
+        self.reason = ""
         self.muted, self.silent = False, True
         self._waiting: deque[tuple[int, LiveFrame]] = deque()
-        self._taken = 0
+        self._accepted = 0
         self._number = -1
         self._newest: LiveFrame | None = None
         self._unsent = False
@@ -129,16 +129,16 @@ class LiveSource:
         self._sent: tuple[bytes, float] = (b"", -math.inf)
         self._choice: NextFrame | None = None
 
-    def take(self, frame: LiveFrame) -> None:
-        """Take a frame newer than all before."""
+    def accept(self, frame: LiveFrame) -> None:
+        """Add a frame newer than all before."""
         self.muted = False
         if frame.due_s > 0.0:
-            self._waiting.append((self._taken, frame))
+            self._waiting.append((self._accepted, frame))
         else:
             self.skipped += len(self._waiting)
             self._waiting.clear()
-            self._show(self._taken, frame)
-        self._taken += 1
+            self._show(self._accepted, frame)
+        self._accepted += 1
 
     def fade(self) -> None:
         """Stop showing frames, and let the present sound fade out."""
@@ -205,10 +205,10 @@ class LiveSource:
         within = self.budget.allows(now_s, sounds)
         # The age of a frame for a later moment counts from that moment
         old = now_s - max(frame.made_s, frame.due_s) > self.stale_s
-        self.said = "" if within else self.budget.said
-        if old and not self.said:
-            self.said = f"no frame arrived for {self.stale_s:g} s"
-        target = 0.0 if self.muted or self.said else 1.0
+        self.reason = "" if within else self.budget.reason
+        if old and not self.reason:
+            self.reason = f"no frame arrived for {self.stale_s:g} s"
+        target = 0.0 if self.muted or self.reason else 1.0
         passed = now_s - self._gain_s if self._gain_s > -math.inf else 0.0
         self._gain_s = now_s
         if self.ramp_s <= 0.0 or len(frame.steps) == 1:

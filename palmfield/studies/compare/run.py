@@ -20,7 +20,7 @@ from palmfield.outputs.store import open_result
 from palmfield.studies.compare.report import Comparison, write_report
 from palmfield.studies.compare.suspected_faults import WILD, suspected_faults, wild
 from palmfield.studies.compare.waves import guided_modes
-from palmfield.tables import read_table, taken
+from palmfield.tables import pop_columns, read_table
 from palmfield.types import Float
 from palmfield.whole_files import made_folder
 
@@ -152,7 +152,7 @@ def _pairs(file: str | Path | None) -> tuple[Float, Float] | None:
     if file is None:
         return None
     columns, _ = read_table(Path(file))
-    table = taken(Path(file), columns, PAIR_COLUMNS, MeasurementError)
+    table = pop_columns(Path(file), columns, PAIR_COLUMNS, MeasurementError)
     return table[:, :3], table[:, 3:]
 
 

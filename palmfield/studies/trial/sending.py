@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from palmfield.drive.board import HELD_BACK_S, Board, Emitted, Line
+from palmfield.drive.board import TWIN_DELAY_S, Board, Emitted, Line
 from palmfield.drive.frame_log import FrameLog
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.player import Player
@@ -208,7 +208,7 @@ class _Twin:
     def stop(self, begins_s: float, zero_s: float, sent: Sent) -> None:
         """Silence it and fill `sent` with the emission; time 0 of the trial is `zero_s` of the twin."""
         self.feed(self.board.stop, begins_s)
-        self.emitted += self.twin.until(self.twin.time_s + HELD_BACK_S)
+        self.emitted += self.twin.until(self.twin.time_s + TWIN_DELAY_S)
         sent.emitted = [Emitted(one.time_s - zero_s, one.amplitudes) for one in self.emitted]
         sent.flags = [f"at {flag.time_s - zero_s:.3f} s {flag.kind}: {flag.text}" for flag in self.twin.flags]
 

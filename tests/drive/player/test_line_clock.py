@@ -2,7 +2,7 @@
 
 import pytest
 
-from palmfield.drive.player.line_clock import TOLD_LATE_S, LineClock
+from palmfield.drive.player.line_clock import READING_AGE_S, LineClock
 
 
 def test_bytes_follow_one_another_at_the_lines_rate():
@@ -17,25 +17,25 @@ def test_what_is_told_to_wait_counts_and_what_is_told_to_be_gone_does_not():
     line = LineClock(1e-3)
     line.hand(30, 0.0)
     # 0.1 s later the own clock says that all is out, the system that 30 bytes wait
-    assert line.hear(30, 0.1, refused=False) == 0
-    assert line.free_s(0.1) == pytest.approx(0.1 + 0.030 - TOLD_LATE_S)
+    assert line.note_waiting(30, 0.1, refused=False) == 0
+    assert line.free_s(0.1) == pytest.approx(0.1 + 0.030 - READING_AGE_S)
     line = LineClock(1e-3)
     line.hand(30, 0.0)
     # Told too early: a real port's buffer may be behind what tells
-    assert line.hear(0, 0.001, refused=False) == 30
+    assert line.note_waiting(0, 0.001, refused=False) == 30
     assert line.free_s(0.001) == pytest.approx(0.030)
 
 
 def test_a_line_that_takes_nothing_is_stuck_since_its_last_byte():
     line = LineClock(1e-3)
     line.hand(30, 1.0)
-    line.hear(10, 1.02, refused=False)
-    line.hear(10, 2.02, refused=False)
+    line.note_waiting(10, 1.02, refused=False)
+    line.note_waiting(10, 2.02, refused=False)
     assert line.stuck_s(2.02) == pytest.approx(1.0)
-    line.hear(9, 2.03, refused=False)
+    line.note_waiting(9, 2.03, refused=False)
     assert line.stuck_s(2.04) == pytest.approx(0.01)
-    line.hear(0, 9.0, refused=True)
-    line.hear(0, 9.5, refused=True)
+    line.note_waiting(0, 9.0, refused=True)
+    line.note_waiting(0, 9.5, refused=True)
     assert line.stuck_s(9.6) == pytest.approx(0.6)
 
 
@@ -47,7 +47,7 @@ def test_a_little_that_is_always_behind_is_found_and_old_news_are_not():
         if n % 10 == 0:
             line.hand(10, now)
         out = min(line.handed, max(0.0, now - 1.0 - behind) * 1e3)
-        line.hear(line.handed - int(out), now, refused=False)
+        line.note_waiting(line.handed - int(out), now, refused=False)
         heard = line.free_s(now)
     assert heard == pytest.approx(1.2 + behind, abs=1.5e-3)
     line = LineClock(1e-3)
@@ -58,6 +58,6 @@ def test_a_little_that_is_always_behind_is_found_and_old_news_are_not():
             line.hand(10, now)
         if n % 4 == 0:
             out = min(line.handed, (now - 1.0) * 1e3)
-        line.hear(line.handed - round(out), now, refused=False)
+        line.note_waiting(line.handed - round(out), now, refused=False)
         heard = line.free_s(now)
     assert heard == pytest.approx(1.2, abs=1.5e-3)

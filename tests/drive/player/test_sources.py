@@ -121,7 +121,7 @@ def fed(source: LiveSource, period_s: float, from_s: float, to_s: float, steps: 
         while from_s <= now < to_s and state[0] <= number:
             made = from_s + state[0] * period_s
             levels = [bytes([state[0] % 256, step]) + 8 * b"x" for step in range(1, steps + 1)]
-            source.take(LiveFrame(made, 1.0, levels))
+            source.accept(LiveFrame(made, 1.0, levels))
             state[0] += 1
 
     return feed
@@ -143,7 +143,7 @@ def test_what_is_old_falls_silent_and_sounds_again_with_a_new_frame():
     assert stops == [pytest.approx(0.28 + 0.1, abs=0.012), pytest.approx(0.98 + 0.1, abs=0.012)]
     between = [at for at, *_ in sent if stops[0] < at < 0.79]
     assert between == []
-    assert source.said == "no frame arrived for 0.1 s"
+    assert source.reason == "no frame arrived for 0.1 s"
 
 
 def test_sound_rises_and_falls_within_the_ramp():
@@ -168,7 +168,7 @@ def test_what_fades_falls_within_the_ramp_and_shows_nothing_newer():
         if now < 0.5:
             feed(now)
         elif not source.muted:
-            source.take(LiveFrame(now, 1.0, [frame(9)], due_s=0.7))
+            source.accept(LiveFrame(now, 1.0, [frame(9)], due_s=0.7))
             source.fade()
 
     sent = play(source, until_s=0.8, on_time=until_fade)
@@ -181,7 +181,7 @@ def test_frames_that_are_due_wait_for_their_time_and_the_newest_that_is_due_wins
     """Ten are given at once, each 20 ms after the one before; nobody plays from 0.105 to 0.165 s."""
     source = live()
     for number in range(10):
-        source.take(LiveFrame(0.0, 1.0, [frame(number)], due_s=0.03 + 0.02 * number))
+        source.accept(LiveFrame(0.0, 1.0, [frame(number)], due_s=0.03 + 0.02 * number))
     sent = play(source, until_s=0.4, busy=[(0.105, 0.165)])
     shown = [(int.from_bytes(data, "big"), ends, due) for _, ends, due, data in sent if data != STOP]
     numbers = [number for number, *_ in shown]
@@ -196,12 +196,12 @@ def test_frames_that_are_due_wait_for_their_time_and_the_newest_that_is_due_wins
 def test_a_frame_without_a_time_takes_the_place_of_all_that_wait():
     source = live()
     for number in range(3):
-        source.take(LiveFrame(0.0, 1.0, [frame(number)], due_s=0.05 + 0.02 * number))
+        source.accept(LiveFrame(0.0, 1.0, [frame(number)], due_s=0.05 + 0.02 * number))
 
     def interrupt(now: float) -> None:
         if now >= 0.06 and not done:
             done.append(now)
-            source.take(LiveFrame(now, 1.0, [frame(9)]))
+            source.accept(LiveFrame(now, 1.0, [frame(9)]))
 
     done: list[float] = []
     sent = play(source, until_s=0.15, on_time=interrupt)
@@ -229,7 +229,7 @@ def test_no_more_sound_than_the_budget_gives():
     for (at, _, _, data), (then, *_) in pairwise(sent):
         on += (then - at) * (data != STOP)
     assert on / 6.0 == pytest.approx(0.5, abs=0.1)
-    assert "duty" in source.said or source.said == ""
+    assert "duty" in source.reason or source.reason == ""
 
 
 def test_messages_come_back_as_they_were():
