@@ -169,7 +169,7 @@ class Profile:
             for kind, one in self.held.items()
             if one.most_bytes >= LEAST_BYTES
         ]
-        heads = ("phase", "CPU [s]", "wall [s]", "beside others [s]", "calls", "peak RSS [MiB]")
+        heads = ("phase", "CPU [s]", "wall [s]", "in parallel [s]", "calls", "peak RSS [MiB]")
         tables = [table(rows, heads), table(arrays, ("arrays", "at most [MiB]", "now [MiB]", "made"))]
         return printed(*tables, most=120)
 

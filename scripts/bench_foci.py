@@ -168,7 +168,7 @@ def measure(name: str) -> None:
         "|---|---|---|---|---|",
         *beginnings,
         "",
-        "![Fields of three methods, quality beside time, and convergence](../images/foci.png)",
+        "![Fields of three methods, quality against time, and convergence](../images/foci.png)",
         "",
     ]
     PAGE.write_text("\n".join(lines))
@@ -208,7 +208,7 @@ def draw(array: Array, air: Air, field: FieldEvaluator, shown: dict[Method, list
         axes[1, 0].set(
             xscale="log", xlabel="time of the solution [ms]", ylabel="quietest focus x sqrt(foci)", ylim=(0, 1.1)
         )
-        axes[1, 0].set_title("Quality beside time (2 to 16 foci)")
+        axes[1, 0].set_title("Quality against time (2 to 16 foci)")
         axes[1, 0].legend(fontsize=8)
         for method in ("gs", "gsw", "lbfgs"):
             residual = solve_transfer(transfer, method=method).residual

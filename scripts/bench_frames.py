@@ -176,13 +176,13 @@ def head(device: str, commit: str) -> list[str]:
     with threadpool_limits(1, user_api="blas"):
         yard_s = statistics.median(yardstick() for _ in range(RUNS))
     share = statistics.median(cores() for _ in range(RUNS))
-    place = processor() if device == "cpu" else f"{device_name(device)}, Warp {wp.__version__}, beside {processor()}"
+    place = processor() if device == "cpu" else f"{device_name(device)}, Warp {wp.__version__}, host {processor()}"
     return [
         f"    python scripts/bench_frames.py{option}",
         "",
         f"{place}; commit {commit}. Yardstick: one float64 product of 1000 x 1000 matrices on one thread took "
         f"{1e3 * yard_s:.1f} ms; {os.cpu_count()} threads of plain hashing did {share:.2f} times the work of one. "
-        f"NumPy's product of {SGEMM} x {SGEMM} float32 matrices, the ceiling, in GFLOP/s: {peaks} threads.",
+        f"The upper bound is NumPy's product of {SGEMM} x {SGEMM} float32 matrices: {peaks} threads, in GFLOP/s.",
         "",
     ]
 

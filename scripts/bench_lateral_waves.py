@@ -170,7 +170,7 @@ def main() -> None:
         "An infinite plate of 10 mm (rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s) is under a spot of 6 mm "
         "that moves",
         "over 160 mm. The normal velocity at the end is computed at 241 x 121 points, for a target of 5 % of the",
-        "displacement. The error is in L2 over a 37th of the points, relative to a run at tolerance 1e-3.",
+        "displacement. The error is in L2 over every 37th point, relative to a run at tolerance 1e-3.",
         "",
         "| nu | base | time [s] | estimate (displacement) | error (velocity) | largest velocity [um/s per Pa] |",
         "|---|---|---|---|---|---|",

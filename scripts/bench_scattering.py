@@ -260,18 +260,18 @@ def main() -> None:
 
 
 ALL = "| body | model | peak, Pa | L2 | L2 of the mean | spot | up | sideways | s |"
-REPORT = """# Scattering by boundary elements, and how far the cheap models are from it
+REPORT = """# Scattering by boundary elements, and the errors of cheaper models
 
 For everyone who uses `body_sound` `scattering`. `{command}`, {machine}, Warp {warp}, commit {commit}. 40 kHz, 20 C.
-"A wavelength" is the number of mean edges per wavelength. Times are those of whole calls of `scatter`. Memory is the
-peak that the call adds. GMRES stops at a residual of 1e-4.
+"Edges per wavelength" is the wavelength divided by the mean edge. Times are those of whole calls of `scatter`. Memory
+is the peak that the call adds. GMRES stops at a residual of 1e-4.
 
 ## Rigid sphere in a plane wave
 
 The error is the relative L2 difference of the surface pressure from the series. The force is from the wall pressure,
 divided by pi a^2 E. For ka = 1, 3 and pi, the shape of the sphere determines the mesh.
 
-| ka | elements | a wavelength | error | force | series | difference | iterations | s | MB |
+| ka | elements | edges per wavelength | error | force | series | difference | iterations | s | MB |
 |---|---|---|---|---|---|---|---|---|---|
 {spheres}
 
@@ -284,14 +284,15 @@ Array uhev1 at full drive with p0 = {p0:g} Pa m in lossless air, focused on the 
 "Up" is the force from the wall pressure. "Far" is the force from the momentum through a sphere around the body. Use
 "far" for bodies with sharp rims, where the velocity along the surface is singular.
 
-| body | elements | a wavelength | iterations | residual | up, mN | far, mN | s | MB |
+| body | elements | edges per wavelength | iterations | residual | up, mN | far, mN | s | MB |
 |---|---|---|---|---|---|---|---|---|
 {costs}
 
 The next table compares the ARP of cheaper models with boundary elements, on faces that face the array within 60 mm of
-the focus. The models use the default ARP law. A face is lit by the transducers that it sees, or if one ray back along
-the energy flux is free, or always (no shadow). L2 is the relative difference by face. "L2 of the mean" is the same for
-means over half a wavelength. "Up" is the force on the body ({link} has more forces).
+the focus. The models use the default ARP law. The models differ in the rule that decides whether a face is lit: by each
+transducer that it sees; if a ray back along the energy flux is free; or always (no shadow). L2 is the relative
+difference by face. "L2 of the mean" is the same for means over half a wavelength. "Up" is the force on the body ({link}
+has more forces).
 
 | body | model | peak, Pa | L2 | L2 of the mean | up, mN | s |
 |---|---|---|---|---|---|---|

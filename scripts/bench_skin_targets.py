@@ -185,7 +185,8 @@ def main() -> None:
         "## Fast foci (`lateral_waves`, target 5 % of the displacement)",
         "",
         "Infinite plate of 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s. A spot of 6 mm moves over 160 "
-        "mm at 3, 5 and 7 m/s. The error is in L2 of the normal velocity at the end, at a 37th of 241 x 121 points, "
+        "mm at 3, 5 and 7 m/s. The error is in L2 of the normal velocity at the end, at every 37th of 241 x 121 "
+        "points, "
         "compared with tolerance 1e-3.",
         "",
         *SHORT,

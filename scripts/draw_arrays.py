@@ -237,8 +237,8 @@ def page(spots: dict[str, Spot]) -> str:
         "",
         f"For everyone who chooses an array. Made by `python scripts/draw_arrays.py`, commit {commit}; do not edit. "
         "The table has the focus of each array at full drive, in linear air of 20 C and 50 % humidity. The peak is "
-        "|p| at the focus, divided by p0. Width and depth are where |p| is above half of it (-6 dB). The size is from "
-        "centre to centre plus 10 mm. [Glossary](glossary.md).",
+        "|p| at the focus, divided by p0. Width and depth are those of the region where |p| is above half of the "
+        "peak (-6 dB). The size is the distance of the outermost centres plus 10 mm. [Glossary](glossary.md).",
         "",
         "| layout | transducers | size [mm] | focus z [mm] | peak/p0 [1/m] | width x [mm] | width y [mm] | depth "
         "[mm] | loudest on axis at z [mm] |",

@@ -70,7 +70,7 @@ def main() -> None:
             "## Faults",
             "",
             "Each fault was put into `open_men_p50` with edges of 4 mm. The table has the line of the report card "
-            "that names it, without the positions.",
+            "for this fault, without the positions.",
             "",
             *fault_table(folder),
             "",
@@ -78,8 +78,9 @@ def main() -> None:
             "",
             "## Hands of other people",
             "",
-            "We made meshes in the way of other programs and laboratories, and three things that are not hands",
-            "(`python scripts/verification/foreign_hands.py FOLDER`). No unit was given. The three things were also",
+            "We made meshes like those of other programs and laboratories, and meshes of three objects that are not",
+            "hands (`python scripts/verification/foreign_hands.py FOLDER`). No unit was given. The three objects were "
+            "also",
             "examined in millimetres.",
             "",
             *foreign_table(folder),

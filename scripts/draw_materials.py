@@ -49,7 +49,7 @@ from palmfield.skin.materials.dispersion import describe
 
 gel = standard_linear("gel", 1030.0, 12.5e3, 20e3, 171e-6, nu=0.4999)  # rho, G_r, G_1, tau
 describe(gel, 200.0, thickness_m=0.010)  # moduli, speeds, 1/e lengths, cut-off of a bonded layer
-f_Hz = np.geomspace(1.0, 1000.0, 20)  # your analyser's frequencies, and its moduli
+f_Hz = np.geomspace(1.0, 1000.0, 20)  # frequencies of your analyser; its moduli follow
 storage_Pa, loss_Pa = 2e4 + 50.0 * f_Hz**0.7, 40.0 * f_Hz**0.7
 fit_prony(f_Hz, storage_Pa, loss_Pa, branches=3).material("mine", 1000.0)
 hand_skin("palm")  # four sheets, skin to bone
@@ -69,7 +69,7 @@ from palmfield.skin.materials.ranges import Preset
 
 @dataclass(frozen=True, kw_only=True)
 class FractionalKelvinVoigt(Material):
-    """G(s) = G_r (1 + (s tau)^a): time_s: tau [s]; exponent: a; band_Hz: where `series` stands for it."""
+    """G(s) = G_r (1 + (s tau)^a): time_s: tau [s]; exponent: a; band_Hz: band in which `series` approximates it."""
 
     time_s: float
     exponent: float

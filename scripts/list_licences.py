@@ -18,9 +18,9 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parents[1]
 HEAD = """# Licences of what palmfield needs
 
-For everyone who passes palmfield on. palmfield is under the Apache License 2.0. This page lists the licences of the
-packages that it needs. `python scripts/list_licences.py` makes the page from the metadata of the installed
-packages. If palmfield does not require a package itself, the last column names the package that does.
+For everyone who redistributes palmfield. palmfield is under the Apache License 2.0. This page lists the licences of the
+packages that it needs. `python scripts/list_licences.py` makes the page from the metadata of the installed packages. If
+palmfield does not require a package itself, the last column names the package that does.
 
 | package | licence | required by |
 |---|---|---|
@@ -28,8 +28,8 @@ packages. If palmfield does not require a package itself, the last column names 
 BUNDLES = """
 ## What wheels bundle
 
-The table lists the shared libraries in wheels for Linux on x86-64. A plain install has libraries under the GPL only
-from GCC. These are GCC's run-time libraries, whose exception lets any program use them.
+The table lists the shared libraries in wheels for Linux on x86-64. In an installation without extras, the only
+libraries under the GPL are the run-time libraries of GCC. Their licence has an exception for programs that use them.
 
 Other code is linked into the wheels; their folders of licences list it. Code in the wheel of mujoco has permissive
 licences, with two exceptions: Eigen is under the MPL, and the parser of Glslang, made by Bison, is under the GPL

@@ -229,7 +229,7 @@ AUTD_UNIT = (
     "151.4 mm; sites (1,1), (2,1) and (16,1) have been empty since 2016. Directivity: table of the T4010A1"
 )
 BOW_SETUP = (
-    "Mizushima & Sato 2024: 6 speakers a bow, 10 mm apart on a parabola, bows tilted by 30 deg. Assumption: every "
+    "Mizushima & Sato 2024: 6 speakers per bow, 10 mm apart on a parabola, bows tilted by 30 deg. Assumption: every "
     "axis points to the common focus, as their sum of on-axis pressures implies. "
 )
 
@@ -334,7 +334,7 @@ LAYOUTS = {
     },
     "two_bow_as_printed": Layout(
         "Two bows of 6 speakers, focal length 50 mm, diaphragms 6 mm across",
-        BOW_SETUP + "As printed: focal length 50 mm, a = 6 mm called the diameter",
+        BOW_SETUP + "As printed: focal length 50 mm; the paper calls a = 6 mm the diameter",
         bow_focus,
         two_bow_as_printed,
     ),

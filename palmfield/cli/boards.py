@@ -16,7 +16,7 @@ def boards(
     markdown: Annotated[bool, typer.Option(help="print the page docs/boards.md")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """List the boards with their limits, or all properties of one board and what it cannot guarantee.
+    """List the boards with their limits, or all properties and limits of one board.
 
     Example: palmfield boards sonicsurface
     """

@@ -50,10 +50,10 @@ def add(
     humidity: Annotated[float, typer.Option(help="of the air [%]")] = 50.0,
     pressure: Annotated[float, typer.Option(help="static pressure of the air [Pa]")] = 101325.0,
     microphone_error: Annotated[
-        float, typer.Option(help="relative uncertainty of the microphone's calibration, 95 % (0.12 is 1 dB)")
+        float, typer.Option(help="relative uncertainty of the calibration of the microphone, 95 % (0.12 is 1 dB)")
     ] = 0.12,
     place_sd: Annotated[
-        float, typer.Option(help="standard deviation of the microphone's position per axis [m]")
+        float, typer.Option(help="standard deviation of the position of the microphone per axis [m]")
     ] = 1e-3,
     temperature_sd: Annotated[float, typer.Option(help="standard deviation of the air temperature [K]")] = 1.0,
 ) -> None:
@@ -80,10 +80,10 @@ def add(
 
 @calibrate.command("import")
 def import_(
-    file: Annotated[Path, typer.Argument(help="vendor's file of an OpenMPD board", metavar="BOARD_N.pat")],
+    file: Annotated[Path, typer.Argument(help="file of the vendor for an OpenMPD board", metavar="BOARD_N.pat")],
     board: Annotated[Path, typer.Argument(help="the new calibration", metavar="BOARD.json")],
 ) -> None:
-    """Convert the vendor's file of one OpenMPD board (pins, phases, polarities) to a calibration.
+    """Convert the file of the vendor for one OpenMPD board (pins, phases, polarities) to a calibration.
 
     Example: palmfield calibrate import board_10.pat board.json
     """
@@ -101,7 +101,7 @@ def sound(
     record: Annotated[Path | None, typer.Option(help="write the bytes to this file instead")] = None,
     element: Annotated[
         list[int] | None,
-        typer.Option(help="transducer number from 0, in the layout's order; may be repeated [default: all]"),
+        typer.Option(help="transducer number from 0, in the order of the layout; may be repeated [default: all]"),
     ] = None,
     dwell: Annotated[float, typer.Option(help="duration of each transducer [s]")] = 0.5,
     pause: Annotated[float, typer.Option(help="silence before each [s]")] = 0.2,

@@ -39,7 +39,7 @@ def compare(
         ),
     ] = None,
     source_radius: Annotated[
-        float, typer.Option(help="radius around the source that the fit excludes [m]: 1.5 times the spot's width")
+        float, typer.Option(help="radius around the source that the fit excludes [m]: 1.5 times the width of the spot")
     ] = 0.016,
     as_uff: Annotated[bool, typer.Option("--as-uff", help="also write the computed scan as computed.uff")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another comparison in the folder")] = False,

@@ -12,7 +12,7 @@ def decode(
     file: SentFile,
     board: BoardOfBytes = None,
     layout: Annotated[
-        str | None, typer.Option(help="for raw bytes: layout of the array [default: the board's]")
+        str | None, typer.Option(help="for raw bytes: layout of the array [default: that of the board]")
     ] = None,
     calibration: Annotated[
         Path | None,

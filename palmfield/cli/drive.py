@@ -45,7 +45,7 @@ def drive(
     log: Annotated[
         Path | None, typer.Option(help="log the frames sent and their times in this file, for decode and replay")
     ] = None,
-    duration: Annotated[float | None, typer.Option(help="duration [s] [default: the scene's, or 10]")] = None,
+    duration: Annotated[float | None, typer.Option(help="duration [s] [default: from the scene, or 10]")] = None,
     keys: Keys = None,
     level: Annotated[float, typer.Option(help="with --focus: amplitude of all transducers, 0 to 1")] = 1.0,
     am_frequency: Annotated[
@@ -60,7 +60,7 @@ def drive(
     ] = None,
     p0: Annotated[
         float | None,
-        typer.Option(help="with --focus: peak pressure of a transducer at 1 m [Pa m] [default: the layout's]"),
+        typer.Option(help="with --focus: peak pressure of a transducer at 1 m [Pa m] [default: that of the layout]"),
     ] = None,
     calibration: Annotated[
         Path | None, typer.Option(help="with --focus: calibration file of the transducers (docs/calibration.md)")

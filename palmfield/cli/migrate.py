@@ -10,7 +10,7 @@ from palmfield.cli.options import SceneFile
 
 def migrate(
     scene: SceneFile,
-    out: Annotated[Path | None, typer.Option(help="file to write [default: the scene's own]")] = None,
+    out: Annotated[Path | None, typer.Option(help="file to write [default: SCENE itself]")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace an existing file")] = False,
 ) -> None:
     """Rewrite a scene of the last version with the new names of keys and values.

@@ -37,10 +37,10 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
     <plugin plugin="palmfield.array">
       <instance name="array">
         <config key="layout" value="{layout}"/>
-        <!-- Peak pressure of one transducer at 1 m, on which all results depend by its square. Of this layout {p0} Pa m
-             is {kind}, {low} to {high}. Once you have measured yours, name your file by the first line, or give the
-             numbers by the others (docs/arrays.md).
-        <config key="calibration" value="my_array.toml"/>
+        <!-- Peak pressure of one transducer at 1 m. The ARP and the motion are proportional to its square. For this
+             layout, {p0} Pa m is {kind} (range {low} to {high}). After you have measured your array, use the first
+             line with your calibration file, or the other lines with your numbers (docs/arrays.md).
+        <config key="calibration" value="my_array.json"/>
         <config key="p0_Pa_m" value="{p0}"/>
         <config key="p0_low_Pa_m" value="{low}"/>
         <config key="p0_high_Pa_m" value="{high}"/>
@@ -49,8 +49,8 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
     </plugin>
     <plugin plugin="palmfield.stimulus">
       <instance name="stimulus">
-        <!-- The focus, in the array frame: z points out of the emitting face. A scene may hold several arrays, stimuli
-             and skins: each is one more instance, and results go by its name. -->
+        <!-- The focus, in the array frame: z points out of the emitting face. A scene may have several arrays, stimuli
+             and skins. Each is one more instance; results have its name. -->
         <config key="focus_m" value="0 0 0.2"/>
         {stimulus}
         <!-- The level: full drive unless you set drive_amplitude (0..1) or arp_peak_Pa. -->
@@ -60,7 +60,7 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
       <instance name="skin">
         <config key="body" value="hand"/>
         <config key="hand" value="open_men_p50"/>
-        <!-- The skin layer lies around this site of the hand, down to the bone or depth_m. -->
+        <!-- The skin layer is around this site of the hand, down to the bone or depth_m. -->
         <config key="patch_site" value="palm_centre"/>
         <config key="material" value="palm"/>
         <config key="accuracy" value="0.05"/>
@@ -68,7 +68,7 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
     </plugin>
     <plugin plugin="palmfield.driver">
       <instance name="driver">
-        <!-- ideal plays anything; sonicsurface only what the board can. -->
+        <!-- ideal: any drive; sonicsurface: only drives that this board can play. -->
         <config key="board" value="ideal"/>
       </instance>
     </plugin>

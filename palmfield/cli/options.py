@@ -44,7 +44,7 @@ SceneFile = Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugi
 Device = Annotated[
     str | None,
     typer.Option(
-        help="compute device of the fields: auto, cpu or cuda:N [default: the scene's palmfield_device, or auto]",
+        help="compute device of the fields: auto, cpu or cuda:N [default: palmfield_device of the scene, or auto]",
         metavar="DEVICE",
     ),
 ]
@@ -66,12 +66,12 @@ Keys = Annotated[
 BoardName = Annotated[
     str | None,
     typer.Option(
-        help="board to use in place of the scene's, with its layout and frame rate (see `palmfield boards`)",
+        help="board to use instead of that of the scene, with its layout and frame rate (see `palmfield boards`)",
         metavar="BOARD",
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print only JSON, with units in the names, for other programs")]
-Duration = Annotated[float | None, typer.Option(help="simulated time [s] [default: the scene's]")]
+Duration = Annotated[float | None, typer.Option(help="simulated time [s] [default: from the scene]")]
 RunFolder = Annotated[Path, typer.Argument(help="folder of a run, or its result.nc", metavar="DIR")]
 From = Annotated[float | None, typer.Option("--from", help="begin [ms] [default: begin of the run]")]
 To = Annotated[float | None, typer.Option("--to", help="end [ms] [default: end of the run]")]
@@ -99,7 +99,7 @@ def parsed_keys(keys: list[str] | None) -> dict[str, str]:
         if not value.strip():
             raise SceneError(
                 f"--set {text} has no value after the =; write INSTANCE.KEY=VALUE, or INSTANCE.KEY={UNSET} to "
-                "remove the key, or drop --set to keep the scene's value"
+                "remove the key, or omit --set to keep the value of the scene"
             )
         if name in result:
             raise SceneError(f"--set gives {name} twice, '{result[name]}' and '{value}'; allowed: each key once")

@@ -47,7 +47,7 @@ def plot(
     ] = None,
     skin: Annotated[str | None, typer.Option(help="name of the skin, if the run has several", metavar="NAME")] = None,
     quantity: Annotated[
-        str, typer.Option(help="quantity of the skin's motion: displacement or velocity")
+        str, typer.Option(help="quantity of the motion of the skin: displacement or velocity")
     ] = "displacement",
     observer: Annotated[str | None, typer.Option(help="observer of the levels [default: all]", metavar="NAME")] = None,
     suffix: Annotated[str, typer.Option("--format", help="file format: png, svg or pdf")] = "png",

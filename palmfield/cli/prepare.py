@@ -1,4 +1,4 @@
-"""`palmfield prepare`: what a run keeps on disk, made before it."""
+"""`palmfield prepare`: compute before a run the data that it stores on disk."""
 
 from pathlib import Path
 from typing import Annotated
@@ -21,22 +21,24 @@ def prepare(
     board: options.BoardName = None,
     keys: options.Keys = None,
 ) -> None:
-    """Compile kernels and make the meshes, modes and reduced models of a scene, which later runs then find.
+    """Compile kernels, and compute the meshes, modes and reduced models of a scene before its runs.
 
-    Runs give the same results without. Only the error estimate is left to the run.
+    Runs read these data from disk; their results do not change. The error estimate is computed only in the run.
 
     Example: palmfield prepare mjcf/scenes/palm_am200.xml
     """
     from palmfield.estimate.preparation import prepare as make
 
     if scene is None and not kernels:
-        raise SceneError("there is nothing to prepare: give a scene, or --kernels")
+        raise SceneError("`palmfield prepare` needs a scene or --kernels; give one of them")
     made = make(
         scene, only_kernels=kernels, device=device, accuracy=accuracy, board=board, keys=options.parsed_keys(keys)
     )
     if not made.kernels and not made.answers:
-        print("nothing to prepare: all of it is there")
+        print("all data are already in the cache")
         return
-    print(f"compiled {made.kernels} modules of kernels and kept {len(made.answers)} answers in {made.seconds:.1f} s")
+    print(
+        f"compiled {made.kernels} kernel modules and stored {len(made.answers)} cache entries in {made.seconds:.1f} s"
+    )
     for answer in made.answers:
         print(answer)

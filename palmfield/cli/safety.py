@@ -14,7 +14,7 @@ from palmfield.whole_files import made_folder, write_text
 def safety(
     scene: SceneFile,
     out: Annotated[Path | None, typer.Option(help="Markdown file for the page", metavar="FILE.md")] = None,
-    duration: Annotated[float | None, typer.Option(help="duration of one play [s] [default: the scene's]")] = None,
+    duration: Annotated[float | None, typer.Option(help="duration of one play [s] [default: from the scene]")] = None,
     board: BoardName = None,
     keys: Keys = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace an existing file")] = False,

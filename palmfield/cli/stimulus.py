@@ -74,16 +74,16 @@ def export_command(
     quantity: Annotated[
         str | None,
         typer.Option(
-            help="quantity of the intensities: duty, amplitude or arp [default: arp, or that of the scene's table]"
+            help="quantity of the intensities: duty, amplitude or arp [default: arp, or that of the table in the scene]"
         ),
     ] = None,
     frame: Annotated[str, typer.Option(help="frame of the table: array, or skin (the site of the stimulus)")] = "array",
-    duration: Annotated[float | None, typer.Option(help="duration [s] [default: the scene's]")] = None,
+    duration: Annotated[float | None, typer.Option(help="duration [s] [default: from the scene]")] = None,
     repeat: Annotated[bool, typer.Option("--repeat", help="for an STM: repeat without end")] = False,
     keys: SetKeys = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write positions and intensities of the foci of a scene's stimulus over time.
+    """Write positions and intensities of the foci of a stimulus over time.
 
     Each row applies for one sample; rows equal to the row before are omitted. Positions in the frame of the array
     follow moving hands and arrays. Rates of AUTD3 units are 40 kHz divided by a whole number.

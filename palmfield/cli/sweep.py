@@ -55,7 +55,7 @@ def sweep(
     ] = None,
     device: Device = None,
     accuracy: Accuracy = None,
-    duration: Annotated[float | None, typer.Option(help="duration of each point [s] [default: the scene's]")] = None,
+    duration: Annotated[float | None, typer.Option(help="duration of each point [s] [default: from the scene]")] = None,
     errors: Annotated[
         bool, typer.Option("--errors", help="estimate the error of each point; this often takes longer than the run")
     ] = False,
@@ -112,6 +112,6 @@ def in_words(result: "Sweep") -> str:
     for reason, numbers in list(reasons.items())[:MOST_REASONS]:
         lines.append(f"{len(numbers)} failed; the first is point {numbers[0]}: {reason}")
     if len(reasons) > MOST_REASONS:
-        lines.append(f"{len(reasons) - MOST_REASONS} other reasons are in the dataset's `failure`")
+        lines.append(f"{len(reasons) - MOST_REASONS} other reasons are in variable `failure` of the dataset")
     lines += [f"wrote {path}" for path in result.files.values()]
     return "\n".join(lines) + "\n"

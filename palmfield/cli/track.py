@@ -117,7 +117,9 @@ def latency(
     scene: Annotated[
         Path | None, typer.Argument(help="scene with a moving hand [default: follow_fingertip, unmodulated]")
     ] = None,
-    board: Annotated[str | None, typer.Option(help="board to use in place of the scene's", metavar="BOARD")] = None,
+    board: Annotated[
+        str | None, typer.Option(help="board to use instead of that of the scene", metavar="BOARD")
+    ] = None,
     seconds: Annotated[float, typer.Option(help="duration [s]")] = 5.0,
     rate: Annotated[float, typer.Option(help="samples per second")] = 90.0,
     by: By = "udp",

@@ -27,14 +27,15 @@ def trial(
             "without waiting: fast and reproducible]"
         ),
     ] = None,
-    duration: Annotated[float | None, typer.Option(help="duration [s] [default: the scene's]")] = None,
+    duration: Annotated[float | None, typer.Option(help="duration [s] [default: from the scene]")] = None,
     motion: Annotated[
-        Path | None, typer.Option(help="recorded motion in place of the scene's: a table of poses, or a tracker stream")
+        Path | None,
+        typer.Option(help="recorded motion in place of that of the scene: a table of poses, or a tracker stream"),
     ] = None,
     live: Annotated[
         str | None,
         typer.Option(
-            help="follow a tracked hand whose samples arrive at this port, in place of the scene's motion (see "
+            help="follow a tracked hand whose samples arrive at this port, in place of the motion in the scene (see "
             "`palmfield track`), by UDP or with tcp:[HOST:]PORT by TCP; always in real time",
             metavar="[HOST:]PORT",
         ),
@@ -59,7 +60,8 @@ def trial(
         ),
     ] = "auto",
     truth: Annotated[
-        Path | None, typer.Option(help="calibration file of the true transducers, if they differ from the scene's")
+        Path | None,
+        typer.Option(help="calibration file of the true transducers, if they differ from those of the scene"),
     ] = None,
     recording: Annotated[
         Path | None,
@@ -67,7 +69,7 @@ def trial(
             help="CSV file of a microphone or vibrometer recording to compare with the trial (docs/trials.md)"
         ),
     ] = None,
-    skin: Annotated[bool, typer.Option(help="compute the skin's motion, with and without these losses")] = True,
+    skin: Annotated[bool, typer.Option(help="compute the motion of the skin, with and without these losses")] = True,
     keys: Keys = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="replace the results of another trial in the folder")

@@ -35,7 +35,7 @@ class ArrayConfig(Config):
 
     layout: Layout = Field("uhev1", description="layout of the transducers (docs/arrays.md), or `sites`, or `csv`")
     sites: str | None = Field(
-        None, description="layout sites: each site whose name begins with this is a transducer, emitting along its z"
+        None, description="layout sites: each site whose name begins with this text is a transducer that emits along z"
     )
     transducers: str | None = Field(None, description="layout csv: CSV file of transducer positions (docs/arrays.md)")
     site: str = Field("array", description="site whose frame is the array frame: z points out of the emitting face")
@@ -43,7 +43,7 @@ class ArrayConfig(Config):
         None, description="JSON file with the calibration of this array (docs/calibration.md)"
     )
     p0_Pa_m: Positive | None = Field(
-        None, description="peak pressure of one transducer at 1 m at full drive (default: the layout's, docs/arrays.md)"
+        None, description="peak pressure of one transducer at 1 m at full drive (default: that of the layout)"
     )
     p0_low_Pa_m: Positive | None = Field(None, description="lower end of the range of key p0_Pa_m")
     p0_high_Pa_m: Positive | None = Field(None, description="upper end of the range of key p0_Pa_m")
@@ -52,15 +52,17 @@ class ArrayConfig(Config):
         description="directivity of the transducers: that of the layout, or a named form (docs/concepts/array.md)",
     )
     piston_radius_m: Annotated[float, Field(gt=0, le=0.0061)] | None = Field(
-        None, description="radius of the baffled piston (default: the layout's)"
+        None, description="radius of the baffled piston (default: that of the layout)"
     )
-    dead: Numbers = Field((), description="dead transducers, which emit no sound; numbers from 0 in the layout's order")
+    dead: Numbers = Field(
+        (), description="dead transducers, which emit no sound; numbers from 0 in the order of the layout"
+    )
     inverted: Numbers = Field((), description="transducers with reversed polarity")
     resonance_Hz: Annotated[float, Field(ge=20e3, le=80e3)] = Field(
         40e3, description="resonance frequency of the transducers"
     )
     quality: Annotated[float, Field(ge=1, le=1000)] | None = Field(
-        None, description="quality factor of that resonance (default: the layout's, 25)"
+        None, description="quality factor of that resonance (default: that of the layout, 25)"
     )
     response: Literal["auto", "on", "off"] = Field(
         "auto", description="ring-up and flight time of the sound; auto: on if the error without them is too large"

@@ -45,8 +45,8 @@ class DriverConfig(Config):
         None,
         description="on/off boards: intermediate amplitudes by switching on a share of the transducers (default off)",
     )
-    packet_header: Bits | None = Field(None, description="autd2018: bits before a packet's payload (default 10100101)")
-    packet_footer: Bits | None = Field(None, description="autd2018: bits after a packet's payload (default 1011010)")
+    packet_header: Bits | None = Field(None, description="autd2018: bits before the payload (default 10100101)")
+    packet_footer: Bits | None = Field(None, description="autd2018: bits after the payload (default 1011010)")
     packet_bit_order: Literal["msb_first", "lsb_first"] | None = Field(
         None, description="autd2018: order of the bits in each field (default msb_first)"
     )
@@ -84,7 +84,7 @@ class DriverConfig(Config):
         1.0, description="largest share of any 10 s with sound on a real board"
     )
     head_m: Vector | None = Field(
-        None, description="centre of the ball in which a person's head may be, in the frame of the first array"
+        None, description="centre of the ball that contains the head of a person, in the frame of the first array"
     )
     head_radius_m: Annotated[float, Field(gt=0, le=0.5)] = Field(0.1, description="radius of that ball")
     head_limit_dB: Annotated[float, Field(ge=40, le=150)] | None = Field(

@@ -15,15 +15,17 @@ class MotionConfig(Config):
     about: ClassVar[str] = "Moves a hand by script: its mocap body and, for an articulated hand, its joints."
     files: ClassVar[tuple[str, ...]] = ("keyframes", "trajectory", "tracking", "tracking_alignment")
 
-    body: str = Field("hand_target", description="mocap body of the hand, or `[prefix]hand_target`, which leads it")
+    body: str = Field(
+        "hand_target", description="mocap body that leads the hand; for a hand with a prefix: `[prefix]hand_target`"
+    )
     hand: str | None = Field(
         None, description="preset of an articulated hand, whose joints move as well (default: rigid hand)"
     )
     keyframes: str | None = Field(None, description="TOML file of poses at times (docs/motion.md)")
     trajectory: str | None = Field(None, description="CSV or NPZ file of wrist poses and joint angles over time")
     tracking: str | None = Field(None, description="CSV or NPZ file of a recorded OpenXR hand, which the hand follows")
-    tracking_up: Literal["y", "z"] = Field("y", description="vertical axis of the tracker's space; y for OpenXR")
-    tracking_origin_m: Vector = Field((0.0, 0.0, 0.0), description="position of the tracker's origin in the scene")
+    tracking_up: Literal["y", "z"] = Field("y", description="vertical axis of the space of the tracker; y for OpenXR")
+    tracking_origin_m: Vector = Field((0.0, 0.0, 0.0), description="position of the origin of the tracker in the scene")
     tracking_alignment: str | None = Field(
         None,
         description="JSON file of `palmfield track align` with the pose of the tracker relative to the first "

@@ -63,7 +63,7 @@ class SkinConfig(Config):
         for name in WHOLE_HISTORY
     }
 
-    body: str = Field("hand", description="body that carries the surface; its frame is the surface's frame")
+    body: str = Field("hand", description="body that carries the surface; its frame is the frame of the surface")
     shape: Shape = Field(
         "hand",
         description="parametric hand, rigid (hand) or on its bones (articulated); flat disc; mesh file, rigid "
@@ -73,7 +73,7 @@ class SkinConfig(Config):
         "open_men_p50", description="shapes hand and articulated: a preset in hand_models/ or the path of a .toml file"
     )
     mesh: str | None = Field(
-        None, description="shape mesh: an OBJ, PLY, STL, glTF, GLB or MANO .pkl file; shape rigged: the last three"
+        None, description="shape mesh: an OBJ, PLY, STL, glTF, GLB or MANO .pkl file; shape rigged: glTF, GLB or MANO"
     )
     mesh_unit: Literal["m", "dm", "cm", "mm", "in", "auto"] | None = Field(
         None,
@@ -164,8 +164,8 @@ class SkinConfig(Config):
     )
     obstacles: Names = Field(
         (),
-        description="further bodies that cast shadows, with their geoms and those of their child bodies: body_sound "
-        "shadows",
+        description="body_sound shadows: further bodies that cast shadows, with their geoms and those of their child "
+        "bodies",
     )
     focus_region_m: Annotated[float, Field(ge=0, le=0.5)] = Field(
         0.02,

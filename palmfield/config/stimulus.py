@@ -114,20 +114,20 @@ class StimulusConfig(Config):
     path_zigzag_speed_m_s: Positive | None = Field(
         None, description="speed of that zigzag across the path; path_speed_m_s is the speed along the path"
     )
-    path_direction_deg: float = Field(0.0, description="lm: direction of its line, from x towards y of the frame")
+    path_direction_deg: float = Field(0.0, description="lm: direction of the line, from x towards y of the frame")
     path_corners: Annotated[int, Field(ge=1, le=1000)] = Field(3, description="corners of the zigzag between its ends")
     path_ratio: Numbers = Field((1, 2), description="lissajous: oscillations along x and along y per turn")
     path_phase_deg: float = Field(0.0, description="lissajous: phase lead of the oscillation along x")
     path_text: str | None = Field(None, description="letters A-Z and 0-9 to write; the sound is off between strokes")
     path_through_m: Decimals = Field((), description="polyline: x and y of each corner")
     path_sites: Names = Field(
-        (), description="path sites: two or more sites of the skin's body, on or near the surface"
+        (), description="path sites: two or more sites of the body of the skin, on or near the surface"
     )
     path_file: str | None = Field(
         None, description="path file: CSV table of foci over time, played once from start_s (docs/stimuli.md)"
     )
     path_rate_Hz: Positive | None = Field(
-        None, description="turns per second; a turn of an open path is there and back, unless path_end says otherwise"
+        None, description="turns per second; with path_end back, a turn of an open path is back and forth"
     )
     path_speed_m_s: Positive | None = Field(None, description="speed along the path, in place of path_rate_Hz")
     path_end: Literal["back", "jump", "stop"] = Field(
@@ -166,7 +166,7 @@ class StimulusConfig(Config):
         None,
         description="share of the period during which a rectangle is high (below 1) or a Hann pulse lasts (default 1)",
     )
-    am_burst_length_s: Positive | None = Field(None, description="length of a burst of the modulation's sine")
+    am_burst_length_s: Positive | None = Field(None, description="length of a burst of the sine of the modulation")
     am_burst_period_s: Positive | None = Field(
         None,
         description="time from the start of one such burst to the start of the next; the carrier continues "
@@ -178,7 +178,8 @@ class StimulusConfig(Config):
         "starts at phase 0 with the burst)",
     )
     am_file: str | None = Field(
-        None, description="CSV file with columns turn (0..1) and w: one period; or time_s and w: a course from start_s"
+        None,
+        description="CSV file: columns turn (0..1) and w for one period, or time_s and w for a course from start_s",
     )
     arp_peak_Pa: Positive | None = Field(
         None, description="sets the level: |p|^2/(rho c^2) at the focus at the loudest moment; excludes drive_amplitude"

@@ -194,7 +194,7 @@ def _scattered(
     around = behind > 0.0 and radius < FEW_WAVELENGTHS * length
     size = AROUND if around else size
     # The errors were measured on hands; for other bodies only the curvature is evaluated
-    measured = "the figure is that of hands as curved and as turned (docs/bench/scattering.md)"
+    measured = "the value was measured on hands with such a curvature and angle (docs/bench/scattering.md)"
     measured = FACE_BY_FACE if part.spec.config.shape in HANDS else measured
     why = (
         f"smallest radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; "

@@ -1,4 +1,4 @@
-"""Make before a run what a run of a scene keeps on disk: compiled kernels, meshes, modes, reduced models."""
+"""Compute before a run the data that it stores on disk: compiled kernels, meshes, modes, reduced models."""
 
 import time
 from collections.abc import Iterator
@@ -58,7 +58,7 @@ COMPILED = (".o", ".cubin", ".ptx")
 
 
 class Prepared(NamedTuple):
-    """What was made. kernels: modules that were compiled; answers: names of entries new in the cache"""
+    """Result of `prepare`. kernels: number of compiled modules; answers: names of new entries in the cache"""
 
     kernels: int
     answers: tuple[str, ...]
@@ -66,11 +66,11 @@ class Prepared(NamedTuple):
 
 
 def prepare(scene: Path | None, *, only_kernels: bool = False, **options: Unpack[Options]) -> Prepared:
-    """Compile the kernels of shipped scenes, and make what a run of a scene keeps, apart from its error estimate.
+    """Compile the kernels of shipped scenes, and compute the data that a run stores, except its error estimate.
 
-    The estimate depends on the loudest moment of the run. A scene is opened and does one step, whose result is dropped.
+    The estimate depends on the loudest moment of the run. The scene does one step, whose result is not stored.
     scene: None for kernels alone; only_kernels: without meshes and models; options: as of `palmfield.Simulation`
-    A second process waits, and finds all of it made. Errors as of `palmfield.run`.
+    A second process waits until the data are in the cache. Raises the errors of `palmfield.run`.
     """
     began, device = time.perf_counter(), options.get("device") or "auto"
     with _alone():
@@ -96,7 +96,7 @@ def prepare(scene: Path | None, *, only_kernels: bool = False, **options: Unpack
 
 
 def kernel_modules() -> list[Any]:
-    """Return the modules of kernels that runs of shipped scenes launch on the CPU, in no order of their own."""
+    """Return the modules of kernels that runs of shipped scenes launch on the CPU, in any order."""
     cubes = wp.get_module("warp.geometry.marching_cubes")
     cubes.options |= EXACT  # as in `palmfield.hand.surface`
     array = layout("sonicsurface")
@@ -127,9 +127,9 @@ def _compiled() -> set[Path]:
 
 @contextmanager
 def _alone() -> Iterator[None]:
-    """Wait for another process that prepares with this folder of kernels."""
+    """Wait for another process that uses this folder of kernels for `prepare`."""
     lock = filelock.FileLock(_folder() / "palmfield-prepare.lock", timeout=cache.WAIT_S)
-    with suppress(OSError, NotImplementedError, filelock.Timeout):  # it is made twice then
+    with suppress(OSError, NotImplementedError, filelock.Timeout):  # then both processes compute the data
         lock.acquire()
     try:
         yield

@@ -40,12 +40,14 @@ def look_along_emission(
 
     points: [m] in the world, shape (n, 3); array_pose: shape (7,); window: left, top, width, height [pixels]
     azimuth_deg: of the view, about the z axis of the array
-    The view is obliquely along +z of the array, so that array and target are side by side. The world's z points up.
+    The view is obliquely along +z of the array, so that array and target are side by side. The z axis of the world
+    points up.
     """
     x, y, z = axes(array_pose)
     azimuth, slant = np.radians(azimuth_deg), np.radians(SLANT_DEG)
     forward = np.cos(slant) * (np.cos(azimuth) * x + np.sin(azimuth) * y) + np.sin(slant) * z
-    # If the camera looks straight up or down, the y axis of the board replaces the world's z as the upward direction
+    # If the camera looks straight up or down, the y axis of the board replaces the z axis of the world as the upward
+    # direction
     vertical = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.95 else y
     right = np.cross(forward, vertical)
     right /= np.linalg.norm(right)

@@ -25,9 +25,9 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
 
     result: of `open_result` or `tree`, of a run that began at 0 s; skin, stimulus: instances, the only ones by default.
     The level includes all lines (`palmfield.perception.maps.felt_lines`), whose frequencies are an attribute. Returns
-    `level` [dB SL], dimensions (observer, vertex), NaN if an observer's table has none of the lines, -inf for a vertex
-    at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is treated separately, without summation over
-    area. The force observer has no map, because it does not depend on the motion of the skin.
+    `level` [dB SL], dimensions (observer, vertex), NaN if the table of an observer has none of the lines, -inf for a
+    vertex at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is treated separately, without summation
+    over area. The force observer has no map, because it does not depend on the motion of the skin.
     Raises OutputError for an unknown instance, several instances without a name, a result without displacement, and a
     result shorter than two periods of the main frequency.
     """
@@ -100,9 +100,9 @@ class LevelCourse:
 
 
 def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
-    """Return the level on a skin over time, for the lines of all stimuli.
+    """Return the level on a skin over time, from the spectral lines of all stimuli.
 
-    Raises OutputError for an unknown observer, and for a run without usable lines of its stimuli or record.
+    Raises OutputError for an unknown observer, and if the stimuli or the record have no usable lines.
     """
     refuse_unknown(OutputError, "observer {} is unknown", observer, OBSERVERS)
     data = instances(result, "skin")[skin]

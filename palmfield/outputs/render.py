@@ -197,7 +197,7 @@ def _behind(points: Float, eye: Float, pose: Float, positions: Float) -> NDArray
 def _caption(result: xr.DataTree, scene: Scene) -> str:
     level = f" ({20.0 * np.log10(scene.peak_Pa / np.sqrt(2.0) / 20e-6):.0f} dB SPL)" if scene.peak_Pa > 0 else ""
     times = [loudest(skin).time_s for skin in instances(result, "skin").values()]
-    each = "" if max(times) - min(times) < SAME_INSTANT_S else ", each skin's body at its loudest"
+    each = "" if max(times) - min(times) < SAME_INSTANT_S else ", each body at the loudest moment of its skin"
     count = sum(len(positions) for _, positions in scene.arrays.values())
     whose = "the array" if len(scene.arrays) == 1 else f"array '{next(iter(scene.arrays))}'"
     return (

@@ -61,7 +61,7 @@ class Variable(NamedTuple):
 _BODY = "body frame at rest (before bones move)"
 _WORLD = "world"
 _INTO = "positive values push into the surface"
-_POSE = "maps the frame's own points to the outer frame: x_outer = R x + position"
+_POSE = "maps points of the frame to the outer frame: x_outer = R x + position"
 
 
 def _mesh(what: str) -> dict[str, Variable]:
@@ -77,20 +77,23 @@ def _mesh(what: str) -> dict[str, Variable]:
         "bone_weight": Variable(
             ("vertex", "influence"), "float32", "1", "share of each of those bones; the shares of a vertex add up to 1"
         ),
-        "loudest_time": Variable((), "float64", "s", "time of the largest ARP on the skin, from the run's start"),
+        "loudest_time": Variable((), "float64", "s", "time of the largest ARP on the skin, from the start of the run"),
         "loudest_arp": Variable(
-            ("vertex",), "float32", "Pa", f"ARP at its loudest, on the {what} at loudest_time", sign=_INTO
+            ("vertex",), "float32", "Pa", f"ARP at the loudest moment, on the {what} at loudest_time", sign=_INTO
         ),
         "loudest_pressure": Variable(
-            ("vertex",), "float32", "Pa", f"sound pressure at its loudest, peak amplitude on the {what} at loudest_time"
+            ("vertex",),
+            "float32",
+            "Pa",
+            f"sound pressure at the loudest moment, peak amplitude on the {what} at loudest_time",
         ),
     }
 
 
 ROOT: dict[str, Variable] = {
-    "time": Variable(("time",), "float64", "s", "ends of the skin's substeps, from the run's start"),
-    "step_time": Variable(("step_time",), "float64", "s", "starts of the MuJoCo steps, from the run's start"),
-    "frame_time": Variable(("frame_time",), "float64", "s", "starts of the drive frames, from the run's start"),
+    "time": Variable(("time",), "float64", "s", "ends of the skin substeps, from the start of the run"),
+    "step_time": Variable(("step_time",), "float64", "s", "starts of the MuJoCo steps, from the start of the run"),
+    "frame_time": Variable(("frame_time",), "float64", "s", "starts of the drive frames, from the start of the run"),
 }
 GROUPS: dict[str, dict[str, Variable]] = {
     "skin": _mesh("skin patch")
@@ -109,7 +112,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
         ),
         "velocity": Variable(
             ("time", "vertex", "xyz"), "float32", "m s-1", "velocity, of the displacement", _BODY,
-            "as the displacement's",
+            "as for displacement",
         ),
         "arp": Variable(
             ("time", "vertex"), "float32", "Pa", "radiation pressure (ARP), acoustic, on the skin patch", sign=_INTO
@@ -118,7 +121,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
             ("time", "vertex"), "float32", "Pa", "sound pressure, peak amplitude on the skin patch"
         ),
     },
-    "surface": _mesh("whole surface of the skin's body")
+    "surface": _mesh("whole surface of the body of the skin")
     | {
         "obstacle_position": Variable(
             ("obstacle_vertex", "xyz"), "float64", "m",
@@ -129,14 +132,15 @@ GROUPS: dict[str, dict[str, Variable]] = {
         ),
         "face_arp": Variable(
             ("step_time", "triangle"), "float32", "Pa",
-            "ARP on each triangle, mean over triangle and step: times area and inward normal, it adds up to the force",
+            "ARP on each triangle, mean over triangle and step; the sum of ARP times area times inward normal is the "
+            "force",
             sign=_INTO,
         ),
     },
     "array": {
-        "transducer_position": Variable(("transducer", "xyz"), "float64", "m", "transducers", "this array's own"),
+        "transducer_position": Variable(("transducer", "xyz"), "float64", "m", "transducers", "frame of this array"),
         "transducer_direction": Variable(
-            ("transducer", "xyz"), "float64", "1", "directions in which they emit, of length 1", "this array's own"
+            ("transducer", "xyz"), "float64", "1", "directions of emission, of length 1", "frame of this array"
         ),
         "transducer_p0": Variable(
             ("transducer",), "float64", "Pa m",
@@ -165,7 +169,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
     },
     "stimulus": {
         "foci": Variable(
-            ("time", "focus", "xyz"), "float64", "m", "focal points; where they would be while the stimulus is silent",
+            ("time", "focus", "xyz"), "float64", "m", "focal points; also while the stimulus is silent",
             _WORLD,
         ),
         "sounding": Variable(("time",), "bool", "1", "whether the stimulus sounds"),
@@ -189,7 +193,8 @@ GROUPS: dict[str, dict[str, Variable]] = {
             "acts on the body",
         ),
         "torque": Variable(
-            ("step_time", "xyz"), "float64", "N m", "torque of the sound, about the body's origin, mean over the step",
+            ("step_time", "xyz"), "float64", "N m", "torque of the sound, about the origin of the body, mean over the "
+                                                    "step",
             _WORLD, "acts on the body",
         ),
         "bone_force": Variable(
@@ -198,12 +203,13 @@ GROUPS: dict[str, dict[str, Variable]] = {
         ),
         "bone_torque": Variable(
             ("step_time", "bone", "xyz"), "float64", "N m",
-            "torque on each bone, of the sound about its own origin, mean over the step", _WORLD, "acts on the bone",
+            "torque of the sound on each bone, about the origin of the bone, mean over the step", _WORLD, "acts on "
+                                                                                                          "the bone",
         ),
     },
     "sensors": {
-        "channel": Variable(("channel",), "str", "", "names of the sensor's channels"),
-        "channel_units": Variable(("channel",), "str", "", "units of the sensor's channels"),
+        "channel": Variable(("channel",), "str", "", "names of the channels of the sensor"),
+        "channel_units": Variable(("channel",), "str", "", "units of the channels of the sensor"),
         "value": Variable(
             ("step_time", "channel"), "float64", "1", "values of the sensor, each channel in its unit of channel_units"
         ),
@@ -211,7 +217,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
     "mujoco": {
         "pose": Variable(
             ("step_time", "mujoco_body", "pose7"), "float64", "1",
-            "all of MuJoCo's bodies: position, then unit quaternion (w, x, y, z)", _WORLD, _POSE,
+            "all MuJoCo bodies: position, then unit quaternion (w, x, y, z)", _WORLD, _POSE,
         ),
         "body_name": Variable(("mujoco_body",), "str", "", "names of the bodies; the first is the world"),
         "body_parent": Variable(("mujoco_body",), "int32", "1", "parent of each body; first 0"),
@@ -232,7 +238,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "geom_name": Variable(("geom",), "str", "", "names of the geoms"),
         "geom_body": Variable(("geom",), "int32", "1", "the body of each; first 0"),
         "geom_type": Variable(("geom",), "str", "", "sphere, capsule, box and so on"),
-        "geom_size": Variable(("geom", "xyz"), "float64", "m", "half lengths, as MuJoCo has them by type", "geom"),
+        "geom_size": Variable(("geom", "xyz"), "float64", "m", "half lengths, as in MuJoCo by type", "geom"),
         "geom_frame": Variable(("geom", "pose7"), "float64", "1", "pose of each geom", "body", _POSE),
         "geom_rgba": Variable(("geom", "channel"), "float64", "1", "colour and opacity"),
         "geom_collides": Variable(("geom",), "bool", "1", "whether the geom can be in contact"),
@@ -240,7 +246,8 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "geom_mesh": Variable(("geom",), "int32", "1", "the mesh of each, -1 for none; first 0"),
         "mesh_vertex": Variable(("mesh_vertex_number", "xyz"), "float64", "m", "vertices of all meshes", "geom"),
         "mesh_vertex_owner": Variable(("mesh_vertex_number",), "int32", "1", "the mesh of each vertex; first 0"),
-        "mesh_face": Variable(("mesh_triangle", "corner"), "int32", "1", "triangles; each mesh's first vertex is 0"),
+        "mesh_face": Variable(("mesh_triangle", "corner"), "int32", "1", "triangles; the first vertex of each mesh is "
+                                                                         "0"),
         "mesh_face_owner": Variable(("mesh_triangle",), "int32", "1", "the mesh of each triangle; first 0"),
         "joint_name": Variable(("joint",), "str", "", "names of the joints"),
         "joint_type": Variable(("joint",), "str", "", "free, ball, slide or hinge"),
@@ -297,7 +304,7 @@ def ordered(paths: Iterable[str]) -> list[str]:
 
 
 def variables_of(path: str) -> dict[str, Variable]:
-    """Return the schema's variables of a group. Raises OutputError for an invalid group."""
+    """Return the variables of a group in the schema. Raises OutputError for an invalid group."""
     return ROOT if path == "/" else GROUPS[kind_and_instance(path)[0]]
 
 
@@ -376,7 +383,7 @@ def root_attributes() -> dict[str, Any]:
     return {
         "Conventions": CONVENTIONS,
         "schema_version": SCHEMA_VERSION,
-        "title": "palmfield: sound of ultrasonic arrays on skin, and the skin's motion",
+        "title": "palmfield: sound of ultrasonic arrays on skin, and motion of the skin",
     }
 
 

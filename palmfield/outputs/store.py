@@ -128,8 +128,8 @@ class Store:
     attributes: of groups; those of "/" are of the whole result: settings, versions
     overwrite: whether `finish` may replace results of another run in the folder
     lost: reason why blocks are missing from the result of `finish`, or None
-    Raises OutputError if `out` cannot be written, and if it contains an unfinished run or, without `overwrite`, another
-    run's results.
+    Raises OutputError if `out` cannot be written, and if it contains an unfinished run or, without `overwrite`, results
+    of another run.
     """
 
     def __init__(

@@ -35,7 +35,7 @@ SOUNDS, NODES = 16, 2000
 HARDLY = 0.05
 """Smallest |p|^2 on a skin, relative to that of a focus there, at which it moves noticeably."""
 ROUNDED = 0.01
-"""Largest relative change of the duration due to MuJoCo's steps without a warning."""
+"""Largest relative change of the duration by the MuJoCo steps that causes no warning."""
 DENSITIES_kg_m3 = 500.0, 3000.0
 SHEAR_Pa = 50.0, 1e9
 """Range of the shear modulus of skin and phantoms, from the softest gels to dry stratum corneum."""
@@ -227,7 +227,7 @@ def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
 
 
 def _rounded_duration(view: Preview) -> list[str]:
-    """Warn if MuJoCo's steps make the run longer or shorter than intended."""
+    """Warn if the MuJoCo steps make the run longer or shorter than intended."""
     step_s = view.runtime.model.spec.timestep_s
     steps = step_count(view.duration_s, step_s)
     if abs(steps * step_s - view.duration_s) <= ROUNDED * view.duration_s:
@@ -266,7 +266,7 @@ def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
 
 
 def _hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
-    """Warn if the run ends while the sound still grows. duration_s: of the run, from MuJoCo's time 0"""
+    """Warn if the run ends while the sound still grows. duration_s: of the run, from time 0 of MuJoCo"""
     config = stimulus.config
     lasts_s = duration_s - config.start_s
     if not 0.0 < lasts_s < config.ramp_s:

@@ -93,7 +93,7 @@ def plan(
     keys: Mapping[str, object] | None = None,
     duration_s: float | None = None,
 ) -> Plan:
-    """Decide what to model, from the scene's stimuli, surfaces and accuracy, without simulation.
+    """Decide which effects to model, from the stimuli, surfaces and accuracy of a scene, without simulation.
 
     scene: a path, an MjSpec, a compiled model or a Simulation; duration_s: of the run [s], default that of the scene;
         for the other arguments see `palmfield.load`

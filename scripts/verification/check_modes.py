@@ -269,7 +269,7 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dic
         "that were",
         "not used to make them. The reference is the full wedge model on the same mesh with the same step "
         "(consistency;",
-        "[skin](skin.md) has accuracy).",
+        "[skin](skin.md) has tests of accuracy).",
         "",
         f"Written by `python scripts/verification/check_modes.py {asked} --write docs/bench/modes.md`, commit "
         f"{commit}, {processor()}, Python {platform.python_version()}.",

@@ -28,7 +28,7 @@ ABOUT = """The player must send frames in time while the process of its caller i
 `follow_fingertip`, another computes singular values. AUTD packets (9 bytes, 2,000 a second) are sent to a
 pseudo-terminal by the player, and to a second one by a plain thread, which skips no packet. If the player is late by
 a packet or more, it sends the newest packet and skips earlier ones. A process of higher priority counts the packets
-that were due while the virtual machine stood still.
+that were due while the virtual machine was paused.
 
 *Line* is the delay of the last byte of a packet. *Hand-over* is the delay until the system had the packet. *Lost*
 packets were handed over but not received. AUTD packets fill 78 % of their line, so a delay lasts four times its
@@ -62,7 +62,7 @@ def goals(autd: tuple[AutdRun, AutdRun], sonic: tuple[SonicRun, SonicRun]) -> li
     return [
         ("AUTD, priority: p99 of the line at most 0.2 ms", f"{1e3 * p99:.3f} ms", p99 <= P99_S),
         (
-            "AUTD, priority: packets skipped or lost only while the machine stood still",
+            "AUTD, priority: packets skipped or lost only while the machine was paused",
             f"{missing}; {pauses} were due in pauses of the machine",
             missing <= pauses,
         ),

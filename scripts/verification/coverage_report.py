@@ -203,8 +203,9 @@ def write_report(
         + ("" if frozen is None else f"The code was frozen at commit {frozen}; the seed is the time after that. ")
         + "[coverage](coverage/) has all cases.",
         "",
-        "**Cases.** Bodies, materials and loads are random, in ten families. Spots have 1 to 300 mm. Discs have 1.2 "
-        "to 2.5 widths of the spot (over the rim: 0.3 to 1.2), boxes and layers 2.5 to 4 widths. Depths are 1 to 20 "
+        "**Cases.** Bodies, materials and loads are random, in ten families. Spots are 1 to 300 mm wide. Discs have "
+        "1.2 to 2.5 widths of the spot (over the rim: 0.3 to 1.2), boxes and layers 2.5 to 4 widths. Depths are 1 to "
+        "20 "
         f"mm (family depths: 1 to 50 mm), and target accuracies {100 * ROUND[0]:g} to {100 * ROUND[1]:g} % (boxes, "
         f"layers and scenes: from {100 * OTHER[0]:g} %). A case lasts {CROSSINGS[0]:g} to {CROSSINGS[1]:g} times as "
         f"long as a shear wave needs to cross the spot or twice the depth, at most {1e3 * LONGEST_S:g} ms. Family "

@@ -44,11 +44,12 @@ LAST = """## Limits
 
 The limit for ARP and force is single precision ({rounding:g}, and {p0:g} for p0 x 2). The limit for displacement is a
 tenth of the stated error of modes or reduced model; without these, a tenth of key `accuracy`. {over}
-`tests/test_invariants.py` applies the same limits to smaller scenes. More is allowed for
+`tests/test_invariants.py` applies the same limits to smaller scenes. Larger limits apply to
 
 - step / 2 (up to the `accuracy`), because MuJoCo's integrator is of first order in the step;
 - follow_fingertip, turned and shifted, because a scripted motion is a monotone cubic in each axis of the file
-  ([motion](../motion.md)), so this hand is {apart_mm:.2f} mm elsewhere;
+  ([motion](../motion.md)), so the position of this hand differs by
+  {apart_mm:.2f} mm;
 - mirrored discs, because rounding decides the diagonals between four nodes on one circle. Up to {elsewhere:.2g} % of
   the nodes then have other positions; the others are compared, to a tenth of the `accuracy`.
 """

@@ -328,7 +328,7 @@ def page(outcomes: Sequence[Outcome]) -> str:
         "For developers. A mutation is a fault that is put into a copy of the package on purpose, one at a time. A "
         f"test is named for each of the {len(outcomes)} faults (`scripts/verification/mutation_table.py`). This "
         "test must fail with the fault, by its own assertion or by an error of palmfield, and pass without it. "
-        f"{red} of {len(outcomes)} do. CI runs all of them (`tests/test_mutations.py`).",
+        f"This holds for {red} of {len(outcomes)} faults. CI runs all of them (`tests/test_mutations.py`).",
         "",
         "If there is a test of accuracy for a fault, this test is used: it compares with an exact solution, a "
         "measurement, or an independent float64 code. The other tests are tests of consistency.",

@@ -131,8 +131,9 @@ def page(seed: int, rows: list[dict[str, Any]], out: Path) -> str:
         f"Commit {commit}. `palmfield.skin.solve` with solver `auto` solved random problems of {len(KINDS)} kinds. The "
         "predicted time is that of `choices` for the chosen solver. The measured time is the processor time of the "
         f"whole call in one thread, including finer repetitions, stopped after {LONGEST_S:g} s. It is scaled by a "
-        f"yardstick ({YARDSTICK_S:g} s on the machine of the predictions). Other work ran. One case of each kind of "
-        f"seed {seed + 1} loaded the kernels before.",
+        f"yardstick ({YARDSTICK_S:g} s on the machine of the predictions). Other programs "
+        f"ran on the machine. Before the measurement, one case of each kind (seed {seed + 1}) was solved to load the "
+        "kernels.",
         "",
         f"**{within(ratios, 2.0)} of {len(rows)} predictions are within a factor of 2 (goal 90 %), "
         f"{within(ratios, 3.0)} within 3, and {within(ratios, 5.0)} within 5. The median of measured / predicted is "

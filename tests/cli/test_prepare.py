@@ -38,27 +38,27 @@ def prepared(tmp_path_factory):
 
 
 def test_two_at_once_compile_once(prepared):
-    folder, (first, second) = prepared
-    assert first.startswith(f"compiled {len(compiled(folder))} modules of kernels and kept 0 answers")
-    assert second == "nothing to prepare: all of it is there\n"
+    folder, (second, first) = prepared
+    assert first.startswith(f"compiled {len(compiled(folder))} kernel modules and stored 0 cache entries")
+    assert second == "all data are already in the cache\n"
 
 
 def test_a_prepared_scene_makes_nothing_again_and_its_run_compiles_nothing(prepared):
     folder, _ = prepared
     before = compiled(folder)
     said, _ = done(folder, "prepare", SCENE)
-    assert "compiled 0 modules of kernels" in said and "known-load-" in said
-    assert done(folder, "prepare", SCENE)[0] == "nothing to prepare: all of it is there\n"
+    assert "compiled 0 kernel modules" in said and "known-load-" in said
+    assert done(folder, "prepare", SCENE)[0] == "all data are already in the cache\n"
     done(folder, "run", SCENE, "--out", folder / "out", "--duration", "0.002")
     assert compiled(folder) == before and (folder / "out" / "scene.png").exists()
 
 
 def test_a_cache_that_cannot_be_written_is_said(prepared):
     said, errors = done(prepared[0], "prepare", SCENE, PALMFIELD_CACHE="/dev/null/cache")
-    assert "continuing without a cache" in errors and "nothing to prepare" in said
+    assert "continuing without a cache" in errors and "already in the cache" in said
 
 
 def test_something_is_to_be_prepared(tmp_path):
     process = begun(tmp_path, "prepare")
     _, errors = process.communicate()
-    assert process.returncode == 2 and "give a scene, or --kernels" in errors
+    assert process.returncode == 2 and "needs a scene or --kernels" in errors

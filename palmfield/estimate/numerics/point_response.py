@@ -35,7 +35,7 @@ class Response:
         return other
 
     def solve(self) -> None:
-        """Make the models; matrices that no one had before are freed afterwards."""
+        """Make the models; matrices that were computed only for this are freed afterwards."""
         layer, others = self.layer, self.others
         fresh = [one.layer.system.matrices for one in (self, *others) if not one.layer.system.matrices.made]
         force, read = layer.quadrature.operator @ self.pressure, layer.probe(self.point).operator.toarray()[0]

@@ -1,6 +1,6 @@
 """Read and write files of measured scans, `palmfield.instruments.scan.Scan`.
 
-The suffix determines the format. A folder of Polytec's text files can only be read.
+The suffix determines the format. A folder of Polytec text files can only be read.
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ WRITERS = {".csv": write_csv, ".uff": write_uff, ".unv": write_uff, ".mat": writ
 
 
 def read_scan(path: str | Path) -> Scan:
-    """Read a scan from a file, or a folder of Polytec's text files.
+    """Read a scan from a file, or a folder of Polytec text files.
 
     Raises MeasurementError for a missing file, an unknown format, or errors in it.
     """

@@ -1,4 +1,4 @@
-"""Read scans in the text format of Polytec's software (PSV, VibSoft): a file for each point, in one folder.
+"""Read scans in the text format of Polytec software (PSV, VibSoft): a file for each point, in one folder.
 
 Source File Name:   palm
 Point Index:        12

@@ -20,7 +20,7 @@ from palmfield.types import Float, Float32, Int
 
 SKIN_COLOUR = (0.70, 0.47, 0.36)
 """Colour of bodies and their skins without a coloured quantity."""
-FORCE_ROUNDING = "up or down to 1/1000 of the moment's range, so that the sum over areas stays"
+FORCE_ROUNDING = "up or down to 1/1000 of the range at the moment, so that the sum over areas does not change"
 FORCE_PART = 1000
 """Range of the pressure on faces divided by its rounding: the sum must equal the force, even if it is small."""
 
@@ -87,7 +87,7 @@ class BodyWriter:
         first, everything = surfaces[0], slice(None)
         points, faces = first["rest_position"].values, first["face"].values
         mesh = add_mesh(stage, f"{path}/Surface", points, faces, colour)
-        holds = "surface of the body in the computation; Drawn is the same surface, lowered below its skins"
+        holds = "surface of the body in the computation; Drawn is the same surface, lowered below the skins"
         about(mesh.GetPrim(), holds=holds)
         for name, sign in LOUDEST.items():
             # Skins on one body share its surface; each has its own loudest moment
@@ -112,8 +112,8 @@ class BodyWriter:
             return []
         added = []
         for name, unit, sign in (
-            ("force", "N", "of the sound on the body, world axes, mean over MuJoCo's step"),
-            ("torque", "N m", "about the body's origin, world axes, mean over MuJoCo's step"),
+            ("force", "N", "of the sound on the body, world axes, mean over the MuJoCo step"),
+            ("torque", "N m", "about the origin of the body, world axes, mean over the MuJoCo step"),
         ):
             attribute = prim.CreateAttribute(f"palmfield:{name}", Sdf.ValueTypeNames.Vector3d, custom=True)
             about(attribute, units=unit, sign=sign)

@@ -30,7 +30,7 @@ D6_TURNS = ("rotX", "rotY", "rotZ")
 
 
 class PhysicsWriter:
-    """Writes poses of MuJoCo's bodies, frame by frame.
+    """Writes poses of MuJoCo bodies, frame by frame.
 
     Bodies are siblings under /Scene/MuJoCo/Bodies, in world coordinates, as UsdPhysics requires for moving bodies.
     Geoms of bodies with other prims (hands with skin, arrays) have the purpose guide. Not included are equality
@@ -134,7 +134,7 @@ class PhysicsWriter:
         if bool(scene["geom_collides"][number]):
             UsdPhysics.CollisionAPI.Apply(prim.GetPrim())
             if kind in ("mesh", "ellipsoid"):
-                # MuJoCo's meshes collide by their convex hulls
+                # In MuJoCo, meshes collide by their convex hulls
                 UsdPhysics.MeshCollisionAPI.Apply(prim.GetPrim()).CreateApproximationAttr("convexHull")
             friction = float(scene["geom_friction"][number])
             binding = UsdShade.MaterialBindingAPI.Apply(prim.GetPrim())

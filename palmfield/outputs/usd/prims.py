@@ -83,10 +83,10 @@ def add_lines(
 
 
 def describe_rounding(rounded: Rounding) -> dict[str, Any]:
-    """Describe the rounding of a primvar's values."""
+    """Describe the rounding of the values of a primvar."""
     return {
         "low": rounded.low, "high": rounded.high, "error_bound": rounded.bound, "quantisation_step": rounded.step,
-        "quantisation": "to the nearest" if rounded.weights is None else "up or down, so that the sum over areas stays",
+        "quantisation": "to the nearest" if rounded.weights is None else "up or down, to preserve the sum over areas",
     }  # fmt: skip
 
 

@@ -42,7 +42,7 @@ def add_skeleton(stage: Usd.Stage, root: str, body: xr.Dataset) -> tuple[UsdSkel
 
 
 class BoneMoves:
-    """Translations and rotations of a skeleton's bones over time."""
+    """Translations and rotations of the bones of a skeleton over time."""
 
     def __init__(self, animation: UsdSkel.Animation):
         self._moves = Samples(animation.CreateTranslationsAttr(), vectors)

@@ -44,7 +44,7 @@ class StimulusWriter:
         if ways:
             add_lines(stage, f"{path}/Path", ways, 0.5 * WIDTH_M, PATH_COLOUR)
         attribute = prim.CreateAttribute("palmfield:foci", Sdf.ValueTypeNames.Double3Array, custom=True)
-        about(attribute, units="m", sign="focal points in the world; where they would be while the stimulus is silent")
+        about(attribute, units="m", sign="focal points in the world, also while the stimulus is silent")
         self._samples = (
             Samples(crosses.GetPointsAttr(), vectors),
             Samples(attribute, lambda points: Vt.Vec3dArray.FromNumpy(np.ascontiguousarray(points))),

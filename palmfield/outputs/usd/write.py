@@ -298,7 +298,7 @@ def _points(result: xr.DataTree, times: list[float]) -> Float:
 
 
 def _label(stage: Usd.Stage, root: Usd.Prim, result: xr.DataTree, shown: Shown, clock: Clock, ranges: _Ranges) -> None:
-    """Describe the file in the root layer's customLayerData."""
+    """Describe the file in customLayerData of the root layer."""
     facts: dict[str, str | float] = {
         "scene": str(result.attrs.get("scene", "")),
         "colour": shown.colour,
@@ -312,4 +312,4 @@ def _label(stage: Usd.Stage, root: Usd.Prim, result: xr.DataTree, shown: Shown, 
         }
     stage.GetRootLayer().customLayerData = {"palmfield": facts}
     attribute = root.CreateAttribute("palmfield:time_s", Sdf.ValueTypeNames.Double, custom=True)
-    about(attribute, units="s", sign="from the run's start")
+    about(attribute, units="s", sign="from the start of the run")

@@ -178,7 +178,7 @@ class SweepStore:
         if self.design.kind != "grid":
             made["point"] = ("point", np.arange(self.design.count), {"long_name": "number of the point; first 0"})
         for name, known in labels.items():
-            about = {"units": "s", "long_name": "from the run's start"} if name in COURSES else {}
+            about = {"units": "s", "long_name": "time from the start of the run"} if name in COURSES else {}
             made[name] = (name, known.astype(object) if known.dtype.kind == "U" else known, about)
         names, what = LABELS["xyz"]
         made["xyz"] = ("xyz", np.array(names, dtype=object), {"long_name": what})
