@@ -25,16 +25,39 @@ def cosine_direction(normal: wp.vec3, u: float, v: float) -> wp.vec3:
 
 
 @wp.func
-def openness(mesh: wp.uint64, point: wp.vec3, normal: wp.vec3, reach: float, rays: int, seed: int) -> float:
-    """Return the share of cosine-weighted rays of length `reach` [m] without a hit (ambient occlusion)."""
+def openness(
+    mesh: wp.uint64, point: wp.vec3, normal: wp.vec3, reach: float, rays: int, sample: int, samples: int, seed: int
+) -> float:
+    """Return the share of cosine-weighted rays of length `reach` [m] without a hit (ambient occlusion).
+
+    sample, samples: number of this sample of a pixel, and of all: their rays form one lattice of directions
+    seed: number of the pixel, for a random shift of the lattice
+    """
     state = wp.rand_init(11, seed)
+    u, v = wp.randf(state), wp.randf(state)
     free = wp.float32(0.0)
     for ray in range(rays):
-        stratum = (float(ray) + wp.randf(state)) / float(rays)
-        direction = cosine_direction(normal, stratum, wp.randf(state))
+        place = float(sample * rays + ray)
+        direction = cosine_direction(normal, (place + u) / float(samples * rays), v + 0.61803399 * place)
         if not wp.mesh_query_ray_anyhit(mesh, point, direction, reach):
             free += 1.0
     return free / float(rays)
+
+
+@wp.kernel
+def open_sky(
+    mesh: wp.uint64,
+    points: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    reach: float,
+    rays: int,
+    vertices: wp.array[wp.int32],
+    share: wp.array[float],
+):
+    """Compute the `openness` of some vertices, by number."""
+    vertex = vertices[wp.tid()]
+    normal = normals[vertex]
+    share[vertex] = openness(mesh, points[vertex] + normal * 2.0e-5, normal, reach, rays, 0, 1, vertex)
 
 
 @wp.kernel
@@ -47,6 +70,7 @@ def render(
     level: wp.array[float],
     gloss: wp.array[float],
     veil: wp.array[float],
+    sky_share: wp.array[float],
     lut: wp.array[wp.vec3],
     eye: wp.vec3,
     corner: wp.vec3,
@@ -68,7 +92,8 @@ def render(
     mesh: all objects; solid: objects that cast shadows
     faces: vertex of each corner, shape (3 m,); normals: unit, by vertex; albedo: linear RGB, by vertex
     level: position in the colour map, 0 to 1, by vertex, negative to use albedo; gloss: strength of the highlight
-    veil: opacity by face, 1 is solid; lut: linear RGB, shape (256,)
+    veil: opacity by face, 1 is solid; sky_share: `openness` by vertex, negative to cast rays from each hit
+    lut: linear RGB, shape (256,); rays: number of ambient rays of a sample
     eye: camera [m]; corner: from the camera to the top left corner of the image; right, down: sides of one pixel
     key, fill: unit directions towards the lights; sky: unit direction of the brighter half of the ambient light
     reach: length of the ambient rays [m]; image: linear RGB, shape (height * width,)
@@ -113,13 +138,17 @@ def render(
                     outside = point + face_normal * 2.0e-5
                     lit = wp.max(0.0, wp.dot(normal, key))
                     shade = wp.float32(1.0)
-                    open_sky = wp.float32(1.0)
+                    open_here = wp.float32(1.0)
                     if opacity >= 1.0:
-                        if wp.mesh_query_ray_anyhit(solid, outside, key, 1.0e3):
+                        if lit == 0.0 or wp.mesh_query_ray_anyhit(solid, outside, key, 1.0e3):
                             shade = 0.0
-                        open_sky = openness(solid, outside, face_normal, reach, rays, pixel * 64 + sample)
-                    ambient = (0.27 + 0.11 * wp.dot(normal, sky)) * open_sky
-                    soft = 0.20 * wp.max(0.0, wp.dot(normal, fill)) * (0.4 + 0.6 * open_sky)
+                        open_here = sky_share[a] * hit.u + sky_share[b] * hit.v + sky_share[c] * w
+                        if open_here < 0.0:
+                            open_here = openness(
+                                solid, outside, face_normal, reach, rays, sample, supersampling * supersampling, pixel
+                            )
+                    ambient = (0.27 + 0.11 * wp.dot(normal, sky)) * open_here
+                    soft = 0.20 * wp.max(0.0, wp.dot(normal, fill)) * (0.4 + 0.6 * open_here)
                     light = 0.78 * lit * shade + soft + ambient
                     halfway = wp.normalize(key - direction)
                     glint = gloss[a] * shade * wp.pow(wp.max(0.0, wp.dot(normal, halfway)), 40.0)

@@ -15,7 +15,7 @@ BACKDROP_AT_LEAST = 0.7
 @wp.kernel
 def _open_sky(mesh: wp.uint64, points: wp.array[wp.vec3], normal: wp.vec3, rays: int, share: wp.array[float]):
     i = wp.tid()
-    share[i] = raycast.openness(mesh, points[i], normal, 1.0e6, rays, i)
+    share[i] = raycast.openness(mesh, points[i], normal, 1.0e6, rays, 0, 1, i)
 
 
 def _mesh(shape):
@@ -23,7 +23,7 @@ def _mesh(shape):
     return wp.Mesh(points=wp.array(shape.vertices, dtype=wp.vec3, device=DEVICE), indices=corners), corners
 
 
-def _image(shape, eye, size, level=-1.0, key=(0.0, 0.0, 1.0)):
+def _image(shape, eye, size, level=-1.0, key=(0.0, 0.0, 1.0), sky_share=-1.0):
     """Look along -z from `eye`, 90 degrees wide; grey 0.5 unless `level` picks the colour map (red to blue)."""
     mesh, corners = _mesh(shape)
     count = len(shape.vertices)
@@ -41,6 +41,7 @@ def _image(shape, eye, size, level=-1.0, key=(0.0, 0.0, 1.0)):
             wp.array(np.broadcast_to(level, count), dtype=float, device=DEVICE),
             wp.zeros(count, dtype=float, device=DEVICE),
             wp.array(np.ones(len(shape.faces)), dtype=float, device=DEVICE),
+            wp.array(np.broadcast_to(sky_share, count), dtype=float, device=DEVICE),
             wp.array(lut, dtype=wp.vec3, device=DEVICE),
             wp.vec3(*eye),
             wp.vec3(-1.0, 1.0, -1.0),
@@ -124,3 +125,31 @@ def test_a_shadow_ends_where_the_light_passes_the_edge():
     # Seen from there the plate covers the floor up to x = -0.5.
     edge = x[:-1][(row[:-1] < 0.7 * row[1:]) & (x[:-1] > 0.0)]
     assert edge == pytest.approx([1.0], abs=2 * 8.0 / size)
+
+
+def test_the_share_of_sky_at_vertices_replaces_rays():
+    """Light that is half ambient grows with the share of sky of the vertices, which is interpolated between them."""
+    square = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    open_here = np.array([0.0, 1.0, 1.0, 0.0])
+    image = _image(square, (0, 0, 1), 50, key=(0.0, 0.0, -1.0), sky_share=open_here)[:, :, 0]
+    x, _ = _directions(50)
+    share = 0.5 * (x + 1.0)
+    # Of paint 0.5: ambient light (0.27 + 0.11) by the share, and soft light 0.2 by 0.4 + 0.6 of it
+    np.testing.assert_allclose(image, 0.5 * (0.38 * share + 0.2 * (0.4 + 0.6 * share)), rtol=1e-4)
+    rays = _image(square, (0, 0, 1), 50, key=(0.0, 0.0, -1.0))[:, :, 0]
+    np.testing.assert_allclose(rays, 0.5 * (0.38 + 0.2), rtol=1e-4)
+
+
+def test_vertices_in_a_corner_see_less_sky():
+    """At the foot of an endless wall half of the sky is free, and all of it far away from a wall of 1 m."""
+    wall = trimesh.creation.box([0.2, 2e5, 1e5])
+    wall.apply_translation([-0.1, 0.0, 5e4])
+    mesh, _ = _mesh(wall)
+    points = wp.array([[1e-3, 0, 0], [0.5, 0, 0], [2.0, 0, 0]], dtype=wp.vec3, device=DEVICE)
+    normals = wp.array([[0, 0, 1]] * 3, dtype=wp.vec3, device=DEVICE)
+    share = wp.full(3, -1.0, dtype=float, device=DEVICE)
+    some = wp.array([0, 2], dtype=wp.int32, device=DEVICE)
+    wp.launch(
+        raycast.open_sky, dim=2, inputs=[mesh.id, points, normals, 1.0, 4096, some], outputs=[share], device=DEVICE
+    )
+    np.testing.assert_allclose(share.numpy(), [0.5, -1.0, 1.0], atol=0.02)
