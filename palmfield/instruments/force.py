@@ -181,7 +181,7 @@ def scale_reading(times_s: ArrayLike, force_N: ArrayLike, settings: Scale) -> Fl
 
 
 def _one_pole(values: Float, step: float) -> Float:
-    keep = math.exp(-step)
+    decay = math.exp(-step)
     mean = -math.expm1(-step) / step
     # y' = x - y with x linear over a step: y1 = keep y0 + (mean - keep) x0 + (1 - mean) x1
-    return np.asarray(lfilter([1.0 - mean, mean - keep], [1.0, -keep], values, zi=[mean * values[0]])[0])
+    return np.asarray(lfilter([1.0 - mean, mean - decay], [1.0, -decay], values, zi=[mean * values[0]])[0])

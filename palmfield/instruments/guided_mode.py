@@ -26,14 +26,14 @@ TIED, NEXT = 10.0, 25.0
 that fits only noise raises the score by 22 to 30."""
 MOST_LOSS = 0.5
 """Largest Im k / Re k; beyond it a wave loses 96 % per wavelength, too much to distinguish waves."""
-LASTING, HEARD = 0.25, 0.05
-"""A ring with a share of more than HEARD of the motion and an Im k below LASTING times that of the strongest ring
+LASTING, LEAST_SHARE = 0.25, 0.05
+"""A ring with a share of more than LEAST_SHARE of the motion and an Im k below LASTING times that of the strongest ring
 represents several similar waves that the fit cannot separate, because the losses of one material differ less."""
 HIDES = 0.03
 """Largest worst-case change of a resolved wavenumber by a wave hidden in the noise, to first order."""
 COUNTS = 0.2
 """Other waves with at least this share of the motion of the strongest wave are reported."""
-ALIKE, LEFT = 0.35, 0.05
+ALIKE, LEAST_RESIDUAL = 0.35, 0.05
 """The residual is not noise above this correlation of neighbours and above this share of the motion."""
 FEWEST = 24
 
@@ -169,14 +169,14 @@ def _why_unresolved(fit: Rings, lead: int, flat: Float, last: bool) -> str:
     if np.abs(fit.x[-2:]).max() > 0.98:
         return f"the fitted source is {1e3 * REACH_M:g} mm or more from source_m"
     nearest = cKDTree(flat).query(flat, k=2)[1][:, 1]
-    power = float(np.linalg.norm(fit.left) ** 2)
-    alike = float((fit.left.conj() * fit.left[nearest]).sum().real) / max(power, 1e-300)
-    if fit.misfit > LEFT and alike > ALIKE:
+    power = float(np.linalg.norm(fit.residual) ** 2)
+    alike = float((fit.residual.conj() * fit.residual[nearest]).sum().real) / max(power, 1e-300)
+    if fit.misfit > LEAST_RESIDUAL and alike > ALIKE:
         return (
             f"{len(fit.k)} waves from one source leave {100 * fit.misfit:.2g} % of the motion, which is more than "
             "noise: there are other sources, or the surface is not uniform"
         )
-    lasting = (fit.motion > HEARD) & (fit.k.imag < LASTING * fit.k[lead].imag)
+    lasting = (fit.motion > LEAST_SHARE) & (fit.k.imag < LASTING * fit.k[lead].imag)
     if lasting.any():
         one = fit.k[int(lasting.argmax())]
         return (

@@ -49,7 +49,7 @@ class Rings(NamedTuple):
 
     k: wavenumbers [rad/m], shape (rings,); motion: rms of each ring at the points over that of the scan, shape (rings,)
     deviation: standard deviation of each wavenumber by noise, relative to |k|, shape (rings,)
-    misfit: rms of the residual over that of the scan; left: residual, shape (n,)
+    misfit: rms of the residual over that of the scan; residual: shape (n,)
     score: Bayesian information criterion, smaller is better; source: position [m], shape (2,); x: vector of unknowns
     """
 
@@ -57,7 +57,7 @@ class Rings(NamedTuple):
     motion: Float
     deviation: Float
     misfit: float
-    left: Complex
+    residual: Complex
     score: float
     source: Float
     x: Float
@@ -108,10 +108,10 @@ def hidden_change(scanned: Scanned, fit: Rings, number: int) -> float:
     """
     k, source = _unpacked(scanned, fit.x)
     field = _field(scanned, k, source)
-    basis, parts, left = _projected(field, scanned.values)
+    basis, parts, residual = _projected(field, scanned.values)
     by_x = -_residual(scanned, fit.x)[1]
-    free = 2 * len(left) - len(fit.x) - 2 * parts.size
-    power = max(float(np.linalg.norm(left) ** 2), FLOOR**2 * len(left)) / max(free, 1)
+    free = 2 * len(residual) - len(fit.x) - 2 * parts.size
+    power = max(float(np.linalg.norm(residual) ** 2), FLOOR**2 * len(residual)) / max(free, 1)
     own, worst, unit = complex(k[number]), 0.0, scanned.top / abs(complex(k[number]))
     for real in np.geomspace(*HIDDEN_SPAN, 14) * own.real:
         for loss in (0.7, 1.3):
@@ -123,7 +123,7 @@ def hidden_change(scanned: Scanned, fit: Rings, number: int) -> float:
             slopes = _real(np.concatenate([by_x, column, 1j * column], axis=1))
             sizes = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
             covariance = np.linalg.pinv((slopes / sizes).T @ (slopes / sizes), rcond=1e-12, hermitian=True)
-            shift = covariance @ ((slopes / sizes).T @ _real(left)) / sizes
+            shift = covariance @ ((slopes / sizes).T @ _real(residual)) / sizes
             spread = np.sqrt(np.maximum(np.diag(covariance), 0.0) * power) / sizes
             both = [number, len(k) + number]
             worst = max(worst, unit * float(np.sqrt((shift[both] ** 2 + spread[both] ** 2).sum())))
@@ -145,8 +145,8 @@ def _split(scanned: Scanned, x: Float) -> list[Float]:
     for number in range((len(x) - 2) // 2):
         k = complex(x[number], x[(len(x) - 2) // 2 + number])
         begins.append(_with(x, [k * (1.0 - APART / 2.0), k * (1.0 + APART / 2.0)], number))
-    left = [float(np.linalg.norm(_residual(scanned, begin)[0])) for begin in begins]
-    return [begins[number] for number in np.argsort(left)[:SPLITS]]
+    norms = [float(np.linalg.norm(_residual(scanned, begin)[0])) for begin in begins]
+    return [begins[number] for number in np.argsort(norms)[:SPLITS]]
 
 
 def _unpacked(scanned: Scanned, x: Float) -> tuple[Complex, Float]:
@@ -185,7 +185,7 @@ def _residual(scanned: Scanned, x: Float) -> tuple[Complex, Complex]:
     """
     k, source = _unpacked(scanned, x)
     field = _field(scanned, k, source)
-    basis, parts, left = _projected(field, scanned.values)
+    basis, parts, residual = _projected(field, scanned.values)
     by_k, by_r = -field.h1 * field.r[:, None] * parts[:, 0], -field.h1 * k * parts[:, 0]
     slope = field.h0 - field.h1 / field.kr
     if field.towards is not None:
@@ -199,7 +199,7 @@ def _residual(scanned: Scanned, x: Float) -> tuple[Complex, Complex]:
             moved = moved + turned * (field.h1 @ parts[:, 1])
         columns.append(REACH_M * moved[:, None])
     by_x = np.concatenate(columns, axis=1)
-    return left, basis @ (basis.conj().T @ by_x) - by_x
+    return residual, basis @ (basis.conj().T @ by_x) - by_x
 
 
 def _real(values: Complex) -> Float:
@@ -232,16 +232,16 @@ def _beginnings(scanned: Scanned, x: Float) -> list[complex]:
     k, source = _unpacked(scanned, x)
     tried: Complex = np.array(grid, dtype=np.complex128)
     columns = _field(scanned, tried * scanned.top, source).columns
-    left = scanned.values
+    residual = scanned.values
     if len(k):
-        basis, _, left = _projected(_field(scanned, k, source), scanned.values)
+        basis, _, residual = _projected(_field(scanned, k, source), scanned.values)
         inside = np.einsum("nb,ngm->bgm", basis.conj(), columns)
         columns = columns - np.einsum("nb,bgm->ngm", basis, inside)
     products = np.einsum("ngm,ngl->gml", columns.conj(), columns)
     ridge = 1e-9 * np.einsum("gmm->g", products).real
     products += ridge[:, None, None] * np.eye(products.shape[1])
-    seen = np.einsum("ngm,n->gm", columns.conj(), left)
-    gain = np.einsum("gm,gm->g", seen.conj(), np.linalg.solve(products, seen[:, :, None])[:, :, 0]).real
+    projected = np.einsum("ngm,n->gm", columns.conj(), residual)
+    gain = np.einsum("gm,gm->g", projected.conj(), np.linalg.solve(products, projected[:, :, None])[:, :, 0]).real
     chosen: list[complex] = []
     for number in np.argsort(-gain):
         one = grid[int(number)]
@@ -256,13 +256,13 @@ def _result(scanned: Scanned, x: Float) -> Rings:
     k, source = _unpacked(scanned, x)
     field = _field(scanned, k, source)
     _, parts, _ = _projected(field, scanned.values)
-    left, by_x = _residual(scanned, x)
+    residual, by_x = _residual(scanned, x)
     motion = np.sqrt(np.mean(np.abs(np.einsum("nrm,rm->nr", field.columns, parts)) ** 2, axis=0))
-    count, free = 2 * len(left), len(x) + 2 * parts.size
-    power = max(float(np.linalg.norm(left) ** 2), FLOOR**2 * len(left))
+    count, free = 2 * len(residual), len(x) + 2 * parts.size
+    power = max(float(np.linalg.norm(residual) ** 2), FLOOR**2 * len(residual))
     jacobian = _real(by_x)
     spread = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-13)) * power / max(count - free, 1))
     deviation = np.hypot(spread[: len(k)], spread[len(k) : -2]) * scanned.top / np.abs(k)
     score = count * math.log(power / count) + free * math.log(count)
-    misfit = float(np.linalg.norm(left)) / math.sqrt(len(left))
-    return Rings(k, motion, deviation, misfit, left, score, source, x)
+    misfit = float(np.linalg.norm(residual)) / math.sqrt(len(residual))
+    return Rings(k, motion, deviation, misfit, residual, score, source, x)

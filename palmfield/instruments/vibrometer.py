@@ -93,8 +93,8 @@ def along_beam(motion: ArrayLike, sights: ArrayLike, settings: Vibrometer) -> Fl
     With settings.as_normal they are divided by the cosine of incidence_deg. For parallel beams and purely normal motion
     this is the normal motion. Tangential motion is added with the tangent of the angle: factor 1 at 45 degrees.
     """
-    seen = np.einsum("tni,ni->tn", np.asarray(motion, dtype=float), np.asarray(sights, dtype=float))
-    return np.asarray(seen / math.cos(math.radians(settings.incidence_deg)) if settings.as_normal else seen)
+    projected = np.einsum("tni,ni->tn", np.asarray(motion, dtype=float), np.asarray(sights, dtype=float))
+    return np.asarray(projected / math.cos(math.radians(settings.incidence_deg)) if settings.as_normal else projected)
 
 
 def vibrometer_record(
@@ -112,17 +112,17 @@ def vibrometer_record(
     beams = lines_of_sight(motion.points, settings) if sights is None else np.asarray(sights, dtype=float)
     if beams.shape != motion.points.shape:
         raise MeasurementError(f"lines of sight have shape {beams.shape}; the points have {motion.points.shape}")
-    _check_seen(motion, beams)
-    moments, seen = _from_rest(motion.times_s, along_beam(motion.velocity_m_s, beams, settings))
+    _check_visible(motion, beams)
+    moments, velocity = _from_rest(motion.times_s, along_beam(motion.velocity_m_s, beams, settings))
     rate = settings.sampling_rate_Hz
     start = settings.trigger_s - settings.flight_s
     lasts = motion.times_s[-1] - start if settings.duration_s is None else settings.duration_s
     count = math.floor(lasts * rate * (1.0 + 1e-12) + 1e-6) + (settings.duration_s is None)
     if count < 4:
         raise MeasurementError(f"a record of {lasts:g} s holds {count} samples at {rate:g} Hz; needed: four or more")
-    _check_rest(moments, seen, start)
+    _check_rest(moments, velocity, start)
     times = np.arange(count) / rate
-    signal = sampled(moments, seen, start + times)
+    signal = sampled(moments, velocity, start + times)
     if settings.noise_m_s_rtHz > 0.0:
         # White noise with a one-sided density up to half the rate
         deviation = settings.noise_m_s_rtHz * math.sqrt(0.5 * rate / settings.averages)
@@ -130,18 +130,18 @@ def vibrometer_record(
     return labelled(times, chain(signal, settings), motion.points, beams, settings.reading)
 
 
-def _from_rest(times: Float, seen: Float) -> tuple[Float, Float]:
+def _from_rest(times: Float, velocity: Float) -> tuple[Float, Float]:
     """Add time 0, at which runs and solvers are at rest; their first sample is one step later."""
     if not 0.0 < times[0] <= 1.5 * (times[1] - times[0]):
-        return times, seen
-    return np.append(0.0, times), np.concatenate([np.zeros_like(seen[:1]), seen])
+        return times, velocity
+    return np.append(0.0, times), np.concatenate([np.zeros_like(velocity[:1]), velocity])
 
 
-def _check_rest(times: Float, seen: Float, start: float) -> None:
+def _check_rest(times: Float, velocity: Float, start: float) -> None:
     """Raise MeasurementError if the record begins before the motion and the motion does not begin at rest."""
     if start >= times[0] - 1e-6 * (times[1] - times[0]):
         return
-    first, most = float(np.abs(seen[0]).max()), float(np.abs(seen).max())
+    first, most = float(np.abs(velocity[0]).max()), float(np.abs(velocity).max())
     if first > MOVES * most:
         raise MeasurementError(
             f"the record begins at {start:g} s, but the motion begins at {times[0]:g} s with "
@@ -149,7 +149,7 @@ def _check_rest(times: Float, seen: Float, start: float) -> None:
         )
 
 
-def _check_seen(motion: SurfaceMotion, beams: Float) -> None:
+def _check_visible(motion: SurfaceMotion, beams: Float) -> None:
     across = np.einsum("ni,ni->n", motion.normals, beams)
     worst = int(across.argmin())
     if across[worst] <= 0.0:

@@ -97,20 +97,20 @@ def scene_choices(
     modes: float,
     modal_refusal: str | None,
     laws: int = 1,
-    kept: bool | None = None,
+    cached: bool | None = None,
 ) -> list[Choice]:
     """Return the solvers that can step the layer of a scene, the cheapest first.
 
     dofs: unknowns of the layer. substeps: of the whole run. vectors: of a reduced model for its load, about.
     refusal: why a reduced model is impossible, or None. modes, modal_refusal: the same for general modes.
     laws: number of relaxation laws of the layer.
-    kept: whether modes are reused in RUNS runs. None: if there is a cache.
+    cached: whether modes are reused in RUNS runs. None: if there is a cache.
     """
     reduced, modal = Choice("reduced", math.inf, refusal), Choice("modal", math.inf, modal_refusal)
     if refusal is None:
         reduced = Choice("reduced", reduced_s(dofs, substeps, vectors))
     if modal_refusal is None:
         # Stored on disk, they are reused in later runs
-        share = 1.0 / RUNS if (cache.folder() is not None if kept is None else kept) else 1.0
+        share = 1.0 / RUNS if (cache.folder() is not None if cached is None else cached) else 1.0
         modal = Choice("modal", share * modes_s(dofs, modes, laws) + substeps * modal_step_s(modes, laws))
     return ranked([reduced, modal, Choice("wedges", wedges_s(dofs, substeps))])

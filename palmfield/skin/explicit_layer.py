@@ -145,9 +145,9 @@ def solver_class(name: str) -> type[LayerSolver]:
 def layer_solver(layer: SceneLayer, name: str) -> LayerSolver:
     """Return the solver of a layer; for a solver with its own mesh, the same object for the same layer."""
     made = solver_class(name)
-    return _kept(made, layer) if made.own_mesh else made(layer)
+    return _cached(made, layer) if made.own_mesh else made(layer)
 
 
 @functools.lru_cache(maxsize=8)
-def _kept(made: type[LayerSolver], layer: SceneLayer) -> LayerSolver:
+def _cached(made: type[LayerSolver], layer: SceneLayer) -> LayerSolver:
     return made(layer)

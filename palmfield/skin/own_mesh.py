@@ -190,7 +190,7 @@ class OwnMeshStepper(SkinStepper, Protocol):
     def error(self) -> float:  # type: ignore[override]  # computed at first use
         return self._own.error(self._device)
 
-    def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float | None:
+    def carried(self, state: Float, ends: Float, t0: float, t1: float, observed: bool) -> Float | None:
         """Carry the state of one world (state_size,) in place; motion of the face after each substep, (s, 2, f, 3).
 
         ends: pressure on the face at both ends of each substep, (2 s, f)

@@ -191,8 +191,8 @@ def solve(
         able = [choice for choice in options if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
             raise SceneError("no solver supports this problem: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
-        taken, motion, why = _first_that_can(able, problem)
-        name, more = taken.name, taken.arguments
+        chosen, motion, why = _first_that_can(able, problem)
+        name, more = chosen.name, chosen.arguments
     else:
         name, why, more = solver, "requested", {}
         motion = _by_name(name, problem, resolution)

@@ -251,12 +251,12 @@ def world_by_world(
     stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None
 ) -> Float | None:
     """`SkinStepper.step` of several worlds, one after the other, for a stepper whose arrays are those of one."""
-    seen = []
+    records = []
     for world in range(len(state)):
         one = slice(world, world + 1)
         own = SurfaceLoads(loads.pressure_Pa[one], loads.first[one], loads.last[one])
-        seen.append(stepper.step(state[one], own, t0, t1, observe))
-    return None if observe is None else np.concatenate([part for part in seen if part is not None])
+        records.append(stepper.step(state[one], own, t0, t1, observe))
+    return None if observe is None else np.concatenate([part for part in records if part is not None])
 
 
 def checked_operator(operator: sparse.csr_matrix, unknowns: int) -> sparse.csr_matrix:

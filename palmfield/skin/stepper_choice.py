@@ -59,11 +59,11 @@ def chosen(requested: str, work: LayerWork, reason: str) -> StepperChoice:
         name, why = choices[0].name, f"no reduced model: {work.refusal}"
         if name == "modal":
             why = f"{work.refusal}, so the load is not predictable"
-        if name == "modal" and scene_choices(*work, kept=False)[0].name != name:
+        if name == "modal" and scene_choices(*work, cached=False)[0].name != name:
             why += (
                 f"; building the modes counts as 1/{RUNS}, because the cache stores them; without a cache wedges "
                 "would be chosen"
             )
-        elif name == "wedges" and scene_choices(*work, kept=True)[0].name != name:
+        elif name == "wedges" and scene_choices(*work, cached=True)[0].name != name:
             why += "; there is no cache, so modes are too expensive; with a cache modal would be chosen"
     return StepperChoice(name, why, seconds[name], seconds["wedges"])

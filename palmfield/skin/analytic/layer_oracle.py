@@ -166,24 +166,24 @@ def _hankel(
     nodes, weights = np.polynomial.legendre.leggauss(8)
     end = 9.0 / spread
     response = np.zeros((len(f_Hz), len(r)), dtype=complex)
-    left, previous = np.arange(len(f_Hz)), None
+    todo, previous = np.arange(len(f_Hz)), None
     for panels in (5, 10, 20, 50, 100, 200, 400, 800, 1600, 3200, 6400):
         edges = np.linspace(0.0, end, panels + 1)
         half = 0.5 * (edges[1] - edges[0])
         k = (edges[:-1, None] + half * (1.0 + nodes)).ravel()
         load = spread**2 * np.exp(-0.5 * (k * spread) ** 2) * k * np.tile(weights * half, panels)
-        rates = np.repeat(f_Hz[left], len(k))
-        compliance = _wave_compliance(np.tile(k, len(left)), rates, material, h, base).reshape(len(left), len(k))
+        rates = np.repeat(f_Hz[todo], len(k))
+        compliance = _wave_compliance(np.tile(k, len(todo)), rates, material, h, base).reshape(len(todo), len(k))
         value = (compliance * load) @ j0(np.outer(k, r))
         if previous is not None:
             moving = np.abs(value - previous).max(axis=1) > settled * np.abs(value).max(axis=1)
-            response[left[~moving]] = value[~moving]
-            left, value = left[moving], value[moving]
-            if len(left) == 0:
+            response[todo[~moving]] = value[~moving]
+            todo, value = todo[moving], value[moving]
+            if len(todo) == 0:
                 return response
         previous = value
     raise SceneError(
-        f"the wave integral of the layer does not converge at {f_Hz[left[0]]} Hz; add a damping branch to the material"
+        f"the wave integral of the layer does not converge at {f_Hz[todo[0]]} Hz; add a damping branch to the material"
     )
 
 

@@ -77,7 +77,7 @@ def block_factor(matrix: Any, order: Int, *, multiplied: bool = True) -> BlockFa
         rows[start : start + len(nodes[number].rows)] = place[order[nodes[number].rows]]
     rank = np.argsort(numbers)
 
-    def take(number: int, inverse: Float, under: Float) -> None:
+    def store(number: int, inverse: Float, under: Float) -> None:
         here, width = rank[number], len(inverse)
         if multiplied:
             inverse, under = inverse.T @ inverse, under @ inverse
@@ -88,7 +88,7 @@ def block_factor(matrix: Any, order: Int, *, multiplied: bool = True) -> BlockFa
             for spare in range(whole * WIDTH, len(rows_of)):
                 groups_of[whole, :, spare % WIDTH] = rows_of[spare]
 
-    eliminate(lower, nodes, groups, take)
+    eliminate(lower, nodes, groups, store)
     blocks = Supernodes()
     blocks.column = whole_numbers([place[order[nodes[number].first]] for number in numbers])
     blocks.size, blocks.below = whole_numbers(sizes), whole_numbers(below)

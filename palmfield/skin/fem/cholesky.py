@@ -93,11 +93,11 @@ class Cholesky:
         moved = np.zeros((factor.size + 1, columns.shape[1]))
         moved[factor.place] = columns
         # Contribution of a branch to the right side of the trunk, which branches must not write at the same time
-        taken = [np.zeros((factor.size + 1 - trunk.first, columns.shape[1])) for _ in factor.branches]
+        updates = [np.zeros((factor.size + 1 - trunk.first, columns.shape[1])) for _ in factor.branches]
         with one_blas_thread:
-            pairs = zip(factor.branches, taken, strict=True)
+            pairs = zip(factor.branches, updates, strict=True)
             share([(partial(self._down_many, part, moved, away),) for part, away in pairs], threads)
-            for away in taken:
+            for away in updates:
                 moved[trunk.first :] += away
             self._down_many(trunk, moved, moved[trunk.first :])
             moved[factor.size] = 0.0

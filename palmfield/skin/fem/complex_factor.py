@@ -22,10 +22,10 @@ class ComplexFactor:
         self._order, self._nodes, self._lock = order, supernodes(lower), threading.Lock()
         blocks: dict[int, tuple[Complex, Complex]] = {}
 
-        def take(number: int, inverse: Complex, below: Complex) -> None:
+        def store(number: int, inverse: Complex, below: Complex) -> None:
             blocks[number] = inverse, below
 
-        eliminate(lower, self._nodes, branches(self._nodes), take)
+        eliminate(lower, self._nodes, branches(self._nodes), store)
         self._blocks = [blocks[number] for number in range(len(self._nodes))]
 
     @property

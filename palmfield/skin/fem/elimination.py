@@ -68,15 +68,15 @@ def supernodes(matrix: sparse.csc_matrix) -> list[Supernode]:
     begins[1:] = (parent[:-1] != np.arange(1, count)) | (below[:-1] != below[1:] + 1)
     run_of = np.cumsum(begins) - 1
     firsts = np.flatnonzero(begins).tolist()
-    left: list[list[Int]] = [[] for _ in firsts]
+    updates: list[list[Int]] = [[] for _ in firsts]
     runs = []
-    for first, last, before in zip(firsts, [*firsts[1:], count], left, strict=True):
+    for first, last, before in zip(firsts, [*firsts[1:], count], updates, strict=True):
         columns = matrix.indices[matrix.indptr[first] : matrix.indptr[first + 1]]
         rows = np.unique(np.concatenate([part[part >= last] for part in (columns, *before)]))
         before.clear()
         runs.append(Supernode(first, last, rows))
         if len(rows):
-            left[run_of[rows[0]]].append(rows)
+            updates[run_of[rows[0]]].append(rows)
     return _merged(runs)
 
 
@@ -163,26 +163,26 @@ def eliminate(
     matrix: sparse.csc_matrix,
     supernodes: list[Supernode],
     groups: Sequence[Sequence[int]],
-    take: Callable[[int, Any, Any], object],
+    store: Callable[[int, Any, Any], object],
 ) -> None:
     """The factor L of a symmetric matrix L L^T, supernode by supernode.
 
     matrix: its lower triangle, as for `supernodes`: real and positive definite, or complex with a positive definite
         real part, perhaps after a turn of phase; groups: of `branches`.
-    take: called with the number of each supernode, the inverse of its own part of L, lower triangular (w, w), and the
+    store: called with the number of each supernode, the inverse of its own part of L, lower triangular (w, w), and the
         part of L below, (rows, w); from several threads.
     Raises RuntimeError where a real matrix is not positive definite, or a complex one's pivot is 0.
     """
     parents = parents_of(supernodes)
-    left: list[list[tuple[int, Any]]] = [[] for _ in supernodes]
+    updates: list[list[tuple[int, Any]]] = [[] for _ in supernodes]
     root = _complex_root if matrix.dtype.kind == "c" else _real_root
 
     def go(numbers: Sequence[int], threads: int) -> None:
         for number in numbers:
             node = supernodes[number]
             # In a fixed order, independent of the order of threads
-            before = [(supernodes[child].rows, rest) for child, rest in sorted(left[number], key=lambda one: one[0])]
-            left[number].clear()
+            before = [(supernodes[child].rows, rest) for child, rest in sorted(updates[number], key=lambda one: one[0])]
+            updates[number].clear()
             panel, rest = _front(matrix, node, before)
             before.clear()
             size = node.last - node.first
@@ -195,9 +195,9 @@ def eliminate(
                 ) from None
             below = panel[size:] @ inverse.T
             if len(node.rows):
-                _take_off(rest, below, threads)
-                left[parents[number]].append((number, rest))
-            take(number, inverse, below)
+                _subtract(rest, below, threads)
+                updates[parents[number]].append((number, rest))
+            store(number, inverse, below)
 
     threads = min(cores(), BRANCHES)
     with one_blas_thread:
@@ -265,7 +265,7 @@ def _runs(places: Int, cut: int) -> list[tuple[int, int, int]]:
     return list(zip(starts, [*starts[1:], len(places)], places[starts].tolist(), strict=True))
 
 
-def _take_off(rest: Any, below: Any, threads: int) -> None:
+def _subtract(rest: Any, below: Any, threads: int) -> None:
     """rest -= below @ below.T, the lower triangle at least; in two halves that are as much work.
 
     One thread takes the same halves as two: BLAS rounds another way in blocks of another size.

@@ -48,9 +48,9 @@ def on_body(body: Body, load: Load) -> Load:
     return Traction(points[pressed], weights[pressed], load.times_s, pressure[:, pressed], load.law)
 
 
-def _part(load: Traction, kept: NDArray[np.bool_]) -> Traction:
+def _part(load: Traction, chosen: NDArray[np.bool_]) -> Traction:
     return replace(
-        load, points=load.points[kept], weights_m2=load.weights_m2[kept], pressure_Pa=load.pressure_Pa[:, kept]
+        load, points=load.points[chosen], weights_m2=load.weights_m2[chosen], pressure_Pa=load.pressure_Pa[:, chosen]
     )
 
 

@@ -149,14 +149,14 @@ class Net:
         near = near[np.all(places[near, :2] @ hull[:, :2].T + hull[:, 2] <= 1e-9 * np.ptp(net.points), axis=1)]
         place = np.full(len(places), -1)
         place[near] = net.find_simplex(places[near, :2])
-        seen = np.flatnonzero(place >= 0)
-        turn = net.transform[place[seen]]
-        two = np.einsum("qij,qj->qi", turn[:, :2], places[seen, :2] - turn[:, 2])
+        inside = np.flatnonzero(place >= 0)
+        turn = net.transform[place[inside]]
+        two = np.einsum("qij,qj->qi", turn[:, :2], places[inside, :2] - turn[:, 2])
         shares = np.column_stack([two, 1.0 - two.sum(axis=1)])
-        corner = net.simplices[place[seen]]
-        away = np.linalg.norm(places[seen] - np.einsum("qi,qic->qc", shares, self.points[corner]), axis=1)
-        shares[self.steep[place[seen]] | (away > self.longest_m[place[seen]])] = 0.0
-        rows, columns = np.repeat(seen, 3), self.owner[corner.ravel()]
+        corner = net.simplices[place[inside]]
+        away = np.linalg.norm(places[inside] - np.einsum("qi,qic->qc", shares, self.points[corner]), axis=1)
+        shares[self.steep[place[inside]] | (away > self.longest_m[place[inside]])] = 0.0
+        rows, columns = np.repeat(inside, 3), self.owner[corner.ravel()]
         return sparse.coo_matrix((shares.ravel(), (rows, columns)), shape=(len(places), count)).tocsr()
 
 

@@ -94,16 +94,16 @@ class WedgeStepper(SkinStepper):
         check_step(self, state, loads, self._inputs.shape[1], t0, t1)
         mix = self._alpha_f * loads.first + (1.0 - self._alpha_f) * loads.last
         worlds, substeps, _ = mix.shape
-        seen = None if observe is None else np.zeros((worlds, substeps, 2, observe.count))
+        record = None if observe is None else np.zeros((worlds, substeps, 2, observe.count))
         # In sequence, because the matrices pass through the cache once per substep for each world in any case
         for i in range(worlds):
-            self._step_one(state[i], loads.pressure_Pa[i], mix[i], observe, None if seen is None else seen[i])
-        return seen
+            self._step_one(state[i], loads.pressure_Pa[i], mix[i], observe, None if record is None else record[i])
+        return record
 
     def _step_one(
-        self, state: Float, patterns_Pa: Float | Float32, mix: Float, observe: Reader | None, seen: Float | None
+        self, state: Float, patterns_Pa: Float | Float32, mix: Float, observe: Reader | None, record: Float | None
     ) -> None:
-        """All substeps of one world; mix: weight of each pattern in each substep, (s, k); seen: (s, 2, m) to fill."""
+        """All substeps of one world; mix: weight of each pattern in each substep, (s, k); record: (s, 2, m) to fill."""
         rows, place = state.reshape(self.state_rows, self.unknowns), self._factor.place
         substeps, patterns = mix.shape
         room, threads = self._room(patterns), self._threads
@@ -123,8 +123,8 @@ class WedgeStepper(SkinStepper):
                 share(room.turn, threads)
             else:
                 share(room.end, threads)
-            if seen is not None and observe is not None:
-                _read(observe.matrix[1], room.rows, seen[i])
+            if record is not None and observe is not None:
+                _read(observe.matrix[1], room.rows, record[i])
         rows[...] = room.rows[:, place]
         self._rooms.append(room)
 

@@ -52,10 +52,10 @@ def gel(name: str, relaxed_Pa: float, branches_Pa: tuple[float, ...], times_s: t
         "discs of 2 mm, 1 mm thick, were clamped; if they were bonded, the measured E' is 1 + 2 S^2 = 1.5 times "
         "that of the material (Gent & Lindley, S = 0.5)",
     )
-    seen = Observation(
+    observation = Observation(
         "storage in compression", 10.0, GEL_STORAGE_PA[name], None, f"{MIZUSHIMA}, assuming free lateral expansion"
     )
-    return Preset(material, (factors,), (seen,))
+    return Preset(material, (factors,), (observation,))
 
 
 CATALOGUE: dict[str, Preset] = {

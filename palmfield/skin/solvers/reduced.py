@@ -143,9 +143,9 @@ def _run(
         unit = np.eye(krylov.order)
         small = Projection(krylov.projected, krylov.dynamics.materials, krylov.vectors.T @ shapes, unit)
         stepper = ReducedStepper(small, krylov.vectors, np.eye(shapes.shape[1]), None, common_length(clock), 0.0, True)
-        seen = carried(stepper, read, clock, weights, load.law)[rows]
+        values = carried(stepper, read, clock, weights, load.law)[rows]
         begun = (requested >= clock[0])[:, None, None]
-        return np.where(begun, seen, 0.0).swapaxes(0, 1).reshape(2, len(requested), -1, 3)
+        return np.where(begun, values, 0.0).swapaxes(0, 1).reshape(2, len(requested), -1, 3)
 
     normals = normals_on_face(body, points)
     changes = [np.zeros(3)]
@@ -190,7 +190,7 @@ def carried(stepper: ReducedStepper, read: Float, clock: Float, weights: Float, 
     Steps of one length are taken in one call.
     """
     reader = stepper.reader(read)
-    seen = np.zeros((len(clock), 2, reader.count))
+    motion = np.zeros((len(clock), 2, reader.count))
     state = np.zeros((1, stepper.state_size))
     unit = np.eye(weights.shape[1])[None]
     lengths = np.diff(clock)
@@ -201,5 +201,5 @@ def carried(stepper: ReducedStepper, read: Float, clock: Float, weights: Float, 
         loads = SurfaceLoads(unit, first[None], last[None])
         moved = stepper.step(state, loads, clock[begin], clock[end], reader)
         assert moved is not None
-        seen[begin + 1 : end + 1] = moved[0]
-    return seen
+        motion[begin + 1 : end + 1] = moved[0]
+    return motion

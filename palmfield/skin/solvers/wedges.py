@@ -214,9 +214,9 @@ def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes
     depth = depth_of(body)
     fine = share * min(0.78 * width, 0.43 * wavelength)
     centre, path = load_centre(load)
-    seen = np.hypot(*(points[:, :2] - centre).T).max(initial=0.0) if len(points) else 0.0
+    farthest = np.hypot(*(points[:, :2] - centre).T).max(initial=0.0) if len(points) else 0.0
     coarse = share * max(min(1.95 * width, wavelength), 0.78 * width)
-    if seen > path + 1.2 * width:
+    if farthest > path + 1.2 * width:
         coarse = min(coarse, share * 0.6 * wavelength)
     refinements, remesh = 0, False
     if isinstance(body, Layer):
@@ -236,7 +236,7 @@ def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes
         row_m=share * min(0.75 * width, 0.5 * wavelength),
         deepest_row_m=share * max(0.66 * wavelength, 0.75 * width),
         refinements=refinements,
-        reach_m=max(path, seen) + max(1.5 * width, depth),
+        reach_m=max(path, farthest) + max(1.5 * width, depth),
         ring_m=max(wavelength, 2.0 * depth),
         match_Hz=frequency,
         remesh=remesh,
@@ -292,15 +292,15 @@ def _run(body: Body, load: Load, requested: Float, points: Float, discretisation
     start = float(history.knots_s[0])
     steps = max(1, math.ceil((float(requested[-1]) - start) / step_s - 1e-9))
     clock: Float = start + step_s * np.arange(steps + 1, dtype=np.float64)
-    seen = np.zeros((steps + 1, 2, reader.count))
+    motion = np.zeros((steps + 1, 2, reader.count))
     state = np.zeros((1, stepper.state_size))
     for begin in range(0, steps, TOGETHER):
         end = min(begin + TOGETHER, steps)
         moved = stepper.step(state, history.loads(clock[begin : end + 1]), clock[begin], clock[end], reader)
         assert moved is not None
-        seen[begin + 1 : end + 1] = moved[0]
-    displacement = _between(clock, seen[:, 0], seen[:, 1], requested)
-    velocity = _between(clock, seen[:, 1], np.gradient(seen[:, 1], step_s, axis=0), requested)
+        motion[begin + 1 : end + 1] = moved[0]
+    displacement = _between(clock, motion[:, 0], motion[:, 1], requested)
+    velocity = _between(clock, motion[:, 1], np.gradient(motion[:, 1], step_s, axis=0), requested)
     u, v = (moved.reshape(len(requested), len(points), 3) for moved in (displacement, velocity))
     return on_mesh(system, u, v, normals_on_face(body, points))
 

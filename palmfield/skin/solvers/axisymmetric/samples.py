@@ -94,8 +94,8 @@ def band_of(body: Slab, load: Spot, samples: Samples, error: float) -> float:
     rise = np.diff(np.interp(even, samples.times_s, samples.peak_Pa), prepend=0.0)
     frequency = np.fft.rfftfreq(count, even[1] - even[0])[1:]
     power = (np.abs(np.fft.rfft(rise))[1:] / frequency) ** 2 * np.minimum(1.0, own / frequency) ** 4
-    left = np.cumsum(power[::-1])[::-1]
-    law = float(frequency[left >= error**2 * left[0]][-1]) if left[0] > 0.0 else 0.0
+    above = np.cumsum(power[::-1])[::-1]
+    law = float(frequency[above >= error**2 * above[0]][-1]) if above[0] > 0.0 else 0.0
     return max(BAND * own, min(1.5 * law, MOST_BAND * own), path)
 
 

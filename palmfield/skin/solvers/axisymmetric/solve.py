@@ -228,12 +228,12 @@ def _problem(
     samples = sample(load, times, 0.1 * accuracy)
     s = spread(load.fwhm_m)
     share = _shares(float(samples.distance_m.max()) / s, 1e-3 * accuracy)
-    left = np.append(np.cumsum(share[::-1])[::-1][1:], 0.0)
-    highest = int(np.argmax(left <= 0.05 * accuracy)) if harmonics is None else min(harmonics, len(share) - 1)
+    beyond = np.append(np.cumsum(share[::-1])[::-1][1:], 0.0)
+    highest = int(np.argmax(beyond <= 0.05 * accuracy)) if harmonics is None else min(harmonics, len(share) - 1)
     # On the axis only the harmonics 0 and 1 have motion.
     central = not points[:, :2].any()
     numbers = tuple(range(min(highest, 1) + 1 if central else highest + 1))
-    dropped = 0.0 if central and highest > 0 else float(left[highest])
+    dropped = 0.0 if central and highest > 0 else float(beyond[highest])
     band = band_of(body, load, samples, 0.3 * accuracy)
     # Between two samples the mean distance of a parabola from its chord is two thirds of its height.
     path = 0.1 * accuracy * 2.0 / 3.0 if load.law == "linear" and np.ptp(load.centres(), axis=0).any() else 0.0
@@ -363,7 +363,7 @@ def _harmonic(grid: DiscGrid, problem: _DiscProblem, m: int, band_Hz: float) -> 
         tolerance = min(0.1, tolerance * float(problem.share.max() / problem.share[m]))
     spot = problem.load.fwhm_m, near, far, tuple(radii.tolist())
     # A moving spot has tens of models, which would displace those of stationary spots from the cache
-    make = _kept if far == 0.0 else _small
+    make = _small_cached if far == 0.0 else _small
     small, table, shares = make(grid, m, *spot, band_Hz, tolerance, problem.tolerance, problem.beyond)
     if shares is None:
         coordinates = np.ones((len(samples.times_s), 1))
@@ -410,7 +410,7 @@ def _small(
     return reduce(system, forces, reader, (0.0, band_Hz), tolerance, beyond=beyond), table, shares
 
 
-_kept = lru_cache(maxsize=KEPT)(_small)
+_small_cached = lru_cache(maxsize=KEPT)(_small)
 
 
 @lru_cache(maxsize=GRIDS)

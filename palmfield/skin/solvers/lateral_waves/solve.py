@@ -129,14 +129,14 @@ def _solve(body: Slab, problem: SkinProblem, settings: Settings) -> Motion:
     share, safety = (PICTURE_FINER, PICTURE_SAFETY) if picture else (FINER, SAFETY)
     if not picture and len(requested) < SERIES_FROM:
         safety = MOMENT_SAFETY
-    for left in reversed(range(RETRIES)):
+    for tries in reversed(range(RETRIES)):
         chosen = pick(result.displacement)
         finer = max(share * part, FINEST)
         check = run(body, load, requested, points[chosen], finer, settings, result.panels, farther=True)
         some, fine = (result.displacement[:, chosen], result.velocity[:, chosen]), (check.displacement, check.velocity)
         pairs = (*zip(some, fine, strict=True), (some[0][..., 2:], fine[0][..., 2:]))
         errors = at_sides + safety * np.array([relative_error(one, other, picture) for one, other in pairs])
-        if errors[problem.judged] <= problem.accuracy or settings.tolerance is not None or part <= FINEST or left == 0:
+        if errors[problem.judged] <= problem.accuracy or settings.tolerance is not None or part <= FINEST or tries == 0:
             break
         part = finer
         result = run(body, load, requested, points, part, settings, check.panels)

@@ -157,7 +157,7 @@ def _history(
     late = requested > begin
     first = np.floor((requested - begin) / step).astype(np.int64) - 1
     target = np.unique(np.concatenate([first[late] + shift for shift in range(4)])) if late.any() else np.zeros(0, int)
-    kept = np.zeros((len(target), reader.count, 3))
+    samples = np.zeros((len(target), reader.count, 3))
     total = int(target[-1]) + 1 if len(target) else 0
     for start in range(0, total, BLOCK):
         rows = min(BLOCK, total - start)
@@ -166,12 +166,12 @@ def _history(
         body.check(longest_s)
         low, high = np.searchsorted(target, [max(start, 0), start + rows])
         if high > low:
-            kept[low:high] = reader.rows.numpy()[target[low:high] - start]
+            samples[low:high] = reader.rows.numpy()[target[low:high] - start]
     displacement = np.zeros((len(requested), reader.count, 3))
     velocity = np.zeros_like(displacement)
     for row in np.flatnonzero(late):
         place = np.searchsorted(target, first[row])
-        before, low_u, high_u, after = kept[place : place + 4]
+        before, low_u, high_u, after = samples[place : place + 4]
         x = (requested[row] - begin) / step - (first[row] + 1)
         low_v, high_v = 0.5 * (high_u - before), 0.5 * (after - low_u)
         # Cubic Hermite between the two steps, with central differences as slopes.

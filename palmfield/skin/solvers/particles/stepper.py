@@ -108,7 +108,7 @@ class ParticleStepper(OwnMeshStepper):
         self.steps = math.ceil(self.step_s / (run.SAFETY * self._stable_s))
         self._rooms: list[dict[int, run.Particles]] = []
 
-    def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float:
+    def carried(self, state: Float, ends: Float, t0: float, t1: float, observed: bool) -> Float:
         try:
             bodies = self._rooms.pop()
         except IndexError:
@@ -120,7 +120,7 @@ class ParticleStepper(OwnMeshStepper):
             body = bodies[steps]
             body.begin(state)
             try:
-                motion = self._carry(body, ends, steps, seen)
+                motion = self._carry(body, ends, steps, observed)
                 body.check(self._stable_s)
             except (run.CrushedError, run.StepTooLongError) as error:
                 if halvings < HALVINGS:
@@ -135,17 +135,17 @@ class ParticleStepper(OwnMeshStepper):
         self._rooms.append(bodies)
         return motion
 
-    def _carry(self, body: run.Particles, ends: Float, steps: int, seen: bool) -> Float:
-        """Take all steps; displacement and velocity of the face after each substep, shape (s, 2, f, 3), if seen."""
+    def _carry(self, body: run.Particles, ends: Float, steps: int, observed: bool) -> Float:
+        """Take all steps; displacement and velocity of the face after each substep, shape (s, 2, f, 3), if observed."""
         substeps, count = len(ends) // 2, ends.shape[1]
         part = np.tile(np.arange(steps) / steps, substeps)[:, None]
         first, last = np.repeat(ends[0::2], steps, axis=0), np.repeat(ends[1::2], steps, axis=0)
         table: wp.array = wp.array(
             (first + part * (last - first)).astype(np.float32), dtype=wp.float32, device=body.device
         )
-        motion = np.zeros((substeps if seen else 0, 2, count, 3))
+        motion = np.zeros((substeps if observed else 0, 2, count, 3))
         for substep in range(substeps):
             body.steps(steps, table, follower=False, first=substep * steps)
-            if seen:
+            if observed:
                 motion[substep] = body.displacement.numpy()[:count], body.velocity.numpy()[:count]
         return motion

@@ -38,7 +38,7 @@ GROWTH = 1.3
 COARSEST = 2.0
 """Largest element over the fine one."""
 
-SPONGE_LEFT = 1e-3
+SPONGE_TRANSMITS = 1e-3
 """Remaining share of the amplitude of a shear wave that crosses an ideal sponge and comes back."""
 
 MARGIN = 3.0
@@ -186,6 +186,6 @@ def build(body: Body, chosen: Plan) -> tuple[Solid, Float]:
     damping = np.zeros(len(quads.nodes))
     if sponge > 0.0:
         speed = max(math.sqrt(s.material.shear_instant_Pa / s.material.density_kg_m3) for s in body.sheets)
-        peak = 4.0 * speed * math.log(1.0 / SPONGE_LEFT) / sponge
+        peak = 4.0 * speed * math.log(1.0 / SPONGE_TRANSMITS) / sponge
         damping = peak * np.clip(beyond / sponge, 0.0, 1.0) ** 3
     return solid, np.tile(damping, solid.levels)

@@ -30,15 +30,15 @@ def find(solid: Solid, at: Float) -> tuple[Int, Float]:
     chosen, where = near[:, 0].copy(), np.zeros((len(points), 2))
     width = np.linalg.norm(x[:, 0, 0] - x[:, -1, -1], axis=1)
     for column in near.T:
-        left = np.flatnonzero(best > 1e-9 * width[chosen])
-        if len(left) == 0:
+        unresolved = np.flatnonzero(best > 1e-9 * width[chosen])
+        if len(unresolved) == 0:
             break
-        tried = column[left]
-        places = _invert(x[tried], points[left], solid.order)
-        off = np.linalg.norm(_place(x[tried], *_lines(places, solid.order)) - points[left], axis=1)
-        better = off < best[left] - 1e-12
-        kept = left[better]
-        best[kept], chosen[kept], where[kept] = off[better], tried[better], places[better]
+        tried = column[unresolved]
+        places = _invert(x[tried], points[unresolved], solid.order)
+        off = np.linalg.norm(_place(x[tried], *_lines(places, solid.order)) - points[unresolved], axis=1)
+        better = off < best[unresolved] - 1e-12
+        improved = unresolved[better]
+        best[improved], chosen[improved], where[improved] = off[better], tried[better], places[better]
     far = best / width[chosen]
     worst = int(np.argmax(far))
     if far[worst] > 1.0:

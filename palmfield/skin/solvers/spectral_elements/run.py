@@ -138,10 +138,10 @@ class Stepper:
         inverse = np.linalg.inv(mass * np.eye(3) + drag)
         project = holds.projector
         mat33 = wp.types.matrix((3, 3), real)
-        keep = project @ inverse @ (mass * np.eye(3) - drag) @ project
+        carry = project @ inverse @ (mass * np.eye(3) - drag) @ project
         push = step_s * project @ inverse @ project
         self.matrices: list[Any] = [
-            wp.array(a.astype(model.dtype), dtype=mat33, device=device) for a in (keep, push, holds.spring)
+            wp.array(a.astype(model.dtype), dtype=mat33, device=device) for a in (carry, push, holds.spring)
         ]
         copies = self.copy_count + threads * lanes - count
         self.u, self.v = (wp.zeros(threads * lanes, dtype=model.vec3, device=device) for _ in range(2))
@@ -217,17 +217,17 @@ class Stepper:
                 f"solver 'spectral_elements': {self.done + steps} steps are requested, but the load table has "
                 f"{self.table.steps}; give a longer table"
             )
-        left = steps
-        if self.model.layout.gpu and left >= self.graph_steps:
+        remaining = steps
+        if self.model.layout.gpu and remaining >= self.graph_steps:
             if self.graph is None:
                 with wp.ScopedCapture(device=self.model.device) as capture:
                     for _ in range(self.graph_steps):
                         self._step()
                 self.graph = capture.graph
-            while left >= self.graph_steps:
+            while remaining >= self.graph_steps:
                 wp.capture_launch(self.graph)
-                left -= self.graph_steps
-        for _ in range(left):
+                remaining -= self.graph_steps
+        for _ in range(remaining):
             self._step()
         self.done += steps
         run_kernel(

@@ -153,8 +153,8 @@ def finer_spectral_elements(problem: SkinProblem, miss: float, **last: Any) -> A
     """Order, width and depth of likely elements where the `last` ones, if not the first, missed by a factor `miss`."""
     body, load, at, accuracy = problem.body, problem.load, problem.at, problem.accuracy
     finer = plan(body, load, at, accuracy, **last)
-    wanted = (min(miss, MOST_MISS) / ROOM) ** (1.0 / BY_NODES) * len(build(body, finer)[0].nodes)
-    while len(build(body, finer)[0].nodes) < wanted:
+    needed = (min(miss, MOST_MISS) / ROOM) ** (1.0 / BY_NODES) * len(build(body, finer)[0].nodes)
+    while len(build(body, finer)[0].nodes) < needed:
         accuracy *= ROOM
         finer = plan(body, load, at, accuracy)
     return {"order": finer.order, "size_m": finer.size_m, "deep": finer.deep}

@@ -122,14 +122,14 @@ class SpectralElementStepper(OwnMeshStepper):
         self.steps = math.ceil(self.step_s / (SAFETY * self._stable_s))
         self._rooms: list[Stepper] = []
 
-    def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float | None:
+    def carried(self, state: Float, ends: Float, t0: float, t1: float, observed: bool) -> Float | None:
         substeps = len(ends) // 2
         room = self._room(substeps)
         room.begin(state, ends)
         room.advance(self.steps * substeps)
         room.numbers(state)
         motion = None
-        if seen:
+        if observed:
             motion = np.stack([moved.numpy()[:substeps] for moved in room.readings()], axis=1).astype(np.float64)
         self._rooms.append(room)
         return motion
