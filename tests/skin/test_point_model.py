@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palmfield import SceneError, cache
-from palmfield.skin import Sheet, Slab, Spot, preset
+from palmfield.skin import Sheet, Slab, Spot, Springs, preset
 from palmfield.skin.fem.body import build
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
@@ -114,6 +114,29 @@ def test_other_materials_on_the_same_mesh_swing_as_they_do_alone(factors: tuple[
     expected = whole(other, force, read, MAIN_Hz)
     assert abs(expected[1]) != pytest.approx(abs(whole(system, force, read, MAIN_Hz)[1]), rel=0.1)
     np.testing.assert_allclose(in_model(small, MAIN_Hz), expected, rtol=0.01)
+
+
+def test_matrices_of_another_material_are_multiples_only_if_nothing_else_differs() -> None:
+    palm = preset("palm")
+    other = replace(scaled(palm, 0.6), density_kg_m3=1.1 * palm.density_kg_m3, bulk_Pa=0.9 * palm.bulk_Pa)
+    system, changed = (disc(material)[0] for material in (palm, other))
+    factors = system.scaled_by(changed)
+    assert factors == pytest.approx([1.1, 1.0, 0.9, 0.6])
+    for factor, name in zip(factors, ("mass", "damping", "elastic"), strict=False):
+        difference = factor * getattr(system, name) - getattr(changed, name)
+        assert abs(difference).sum() <= 1e-13 * abs(getattr(changed, name)).sum()
+    (part,), (expected,) = system.parts, changed.parts
+    assert abs(factors[3] * part.stiffness - expected.stiffness).sum() <= 1e-13 * abs(expected.stiffness).sum()
+    relaxing = replace(palm, bulk_relaxes=True)
+    for one, another in (
+        (system, disc(palm, palm)[0]),
+        (system, disc(palm, other)[0]),
+        (system, disc(other, side="free")[0]),
+        (system, disc(relaxing)[0]),
+        (disc(relaxing)[0], disc(replace(relaxing, shear_relaxed_Pa=2.0 * palm.shear_relaxed_Pa))[0]),
+        *((disc(palm, **held)[0], disc(other, **held)[0]) for held in ({"base": Springs(1e6, 1e6)},)),
+    ):
+        assert one.scaled_by(another) is None
 
 
 def test_the_same_load_at_another_level_needs_no_factor(tmp_path, monkeypatch) -> None:

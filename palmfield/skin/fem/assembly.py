@@ -1,5 +1,6 @@
 """Matrices of a skin layer: mass, damping, elastic and relaxing stiffness over its free degrees of freedom."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -75,6 +76,23 @@ class SkinSystem:
     def elimination_order(self) -> Int:
         """Order in which the unknowns are eliminated from a matrix, shape (n,): old index by new place."""
         return self.order.value
+
+    def scaled_by(self, other: "SkinSystem") -> list[float] | None:
+        """Return the factors of mass, damping, elastic and part that give those of the layer with another material.
+
+        other: on the same mesh. None if more than the material differs, or if several materials, springs or dashpots
+        contribute to the matrices.
+        """
+        (one, *rest), (another, *others) = (tuple(dict.fromkeys(system.made_of[1])) for system in (self, other))
+        mesh, theirs = self.mesh, other.mesh
+        same = np.array_equal(mesh.nodes, theirs.nodes) and np.array_equal(mesh.elements, theirs.elements)
+        below, side, springs, *more = self.made_of[2:]
+        plain = not below.sheets and springs == Springs(0.0, 0.0) and side != "absorbing" and more == [0.0, None, None]
+        bulk, shear = another.bulk_Pa / one.bulk_Pa, another.shear_relaxed_Pa / one.shear_relaxed_Pa
+        fits = one.bulk_relaxes == another.bulk_relaxes and (not one.bulk_relaxes or math.isclose(bulk, shear))
+        if rest or others or not (same and plain and fits and self.made_of[2:] == other.made_of[2:]):
+            return None
+        return [another.density_kg_m3 / one.density_kg_m3, 1.0, bulk, shear]
 
 
 def assemble(

@@ -19,7 +19,7 @@ A space is grown until motion stops changing (`grow_until`): that under a predic
 solvers.reduced), or the transfer functions over a band (`palmfield.skin.reduction.reducer.reduce`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeVar
 
@@ -47,20 +47,43 @@ SAFETY = 1.5
 T = TypeVar("T")
 
 
+class _Columns:
+    """Columns of length n; memory is allocated for ROOM further ones at a time."""
+
+    def __init__(self, length: int) -> None:
+        self._room: Float = np.empty((length, ROOM), order="F")
+        self.count = 0
+
+    @property
+    def value(self) -> Float:
+        return self._room[:, : self.count]
+
+    def append(self, new: Float) -> None:
+        after = self.count + new.shape[1]
+        if after > self._room.shape[1]:
+            wider: Float = np.empty((len(new), after + ROOM), order="F")
+            wider[:, : self.count] = self.value
+            self._room = wider
+        self._room[:, self.count : after] = new
+        self.count = after
+
+
 class Krylov:
     """Vectors V, (n, r), orthonormal in the mass; `grow` adds a block.
 
     dynamics: the body; shift: sigma [1/s], > 0, where Z is factorised, once
     load: force for one unit of each of j inputs, shape (n, j), for any course of each; or the one Course
-    order: number r of vectors
     """
 
     def __init__(self, dynamics: DynamicStiffness, shift: float, load: Float | Course) -> None:
         self.dynamics, self.shift = dynamics, shift
         self.factored = dynamics.factor(shift)
-        self._vectors = np.empty((dynamics.size, ROOM), order="F")
+        self._columns = _Columns(dynamics.size)
+        # A product with a matrix takes longer than one with vectors, so mass, damping and parts times V are stored
+        numbers = [number for number, matrix in enumerate(dynamics.matrices) if number != 2 and matrix.nnz]
+        self._products = {number: _Columns(dynamics.size) for number in numbers}
+        self._halves = {number: _halves(dynamics.matrices[number]) for number in numbers}
         self._small = np.zeros((len(dynamics.matrices), 0, 0))
-        self.order = 0
         self.laws = [
             (part, ratio, time_s)
             for part, material in enumerate(dynamics.materials)
@@ -82,8 +105,12 @@ class Krylov:
         self._trim()
 
     @property
+    def order(self) -> int:
+        return self._columns.count
+
+    @property
     def vectors(self) -> Float:
-        return self._vectors[:, : self.order]
+        return self._columns.value
 
     @property
     def projected(self) -> list[Float]:
@@ -100,18 +127,16 @@ class Krylov:
         """Apply the operator to the last block. Returns the number of new vectors; 0 at the end of the space."""
         before, shift = self.order, self.shift
         u, v, *internal = self._block
-        mass, damping, _, *stiffness = self.dynamics.matrices
-        shares = [v + shift * u, u]
+        shares = {0: v + shift * u, 1: u}
         for part, material in enumerate(self.dynamics.materials):
             share_of_part = material.relaxation.viscous_time_s * u
             for (owner, ratio, tau), q in zip(self.laws, internal, strict=True):
                 if owner == part:
                     share_of_part = share_of_part + ratio * tau / (1.0 + shift * tau) * q
-            shares.append(share_of_part)
+            shares[3 + part] = share_of_part
         right: Float = np.zeros((self.dynamics.size, u.shape[1]))
-        for matrix, coordinates in zip((mass, damping, *stiffness), shares, strict=True):
-            if matrix.nnz:
-                right += _times(matrix, _times(self.vectors, coordinates))
+        for number, product in self._products.items():
+            right += _times(_halves(product.value), shares[number])
         if self.course is not None:
             self._load = self._driven(self._load)
             right += self.course.shapes @ (self.course.mix @ self._load)
@@ -124,7 +149,7 @@ class Krylov:
 
     def _take(self, result: Float) -> Float:
         """Return coordinates (r, k) of columns (n, k); the basis grows by their new parts."""
-        mass = self.dynamics.matrices[0]
+        mass = self._halves[0]
         heavy = _times(mass, result)
         size = np.sqrt(np.einsum("nk,nk->k", result, heavy)).max(initial=0.0)
         coordinates = np.zeros((self.order, result.shape[1]))
@@ -132,24 +157,17 @@ class Krylov:
         for _ in range(2):
             basis = _adjoint(self.vectors, heavy)
             coordinates += basis
-            rest = rest - _times(self.vectors, basis)
+            rest = rest - _times(_halves(self.vectors), basis)
             heavy = _times(mass, rest)
         squares, turn = np.linalg.eigh(rest.T @ heavy)
         # For nearly parallel columns the difference is a rounding error of their squares.
         kept = squares > max((SMALLEST * size) ** 2, PARALLEL * squares.max(initial=0.0))
         scale = turn[:, kept] / np.sqrt(squares[kept])
         new = rest @ scale
-        self._append(new)
+        self._columns.append(new)
+        for number, product in self._products.items():
+            product.append(heavy @ scale if number == 0 else _times(self._halves[number], new))
         return np.concatenate([coordinates, new.T @ heavy])
-
-    def _append(self, new: Float) -> None:
-        before, after = self.order, self.order + new.shape[1]
-        if after > self._vectors.shape[1]:
-            wider = np.empty((len(new), after + ROOM), order="F")
-            wider[:, :before] = self.vectors
-            self._vectors = wider
-        self._vectors[:, before:after] = new
-        self.order = after
 
     def _project(self) -> None:
         """Update the projected matrices to the present order: many vectors at once cost little more than one."""
@@ -160,7 +178,9 @@ class Krylov:
         grown[:, :before, :before] = self._small
         for number, matrix in enumerate(self.dynamics.matrices):
             if matrix.nnz:
-                share = self.vectors.T @ (matrix @ self.vectors[:, before:])
+                product = self._products.get(number)
+                moved = matrix @ self.vectors[:, before:] if product is None else product.value[:, before:]
+                share = self.vectors.T @ moved
                 grown[number, :, before:] = share
                 grown[number, before:, :before] = share[:before].T
         inner = grown[:, before:, before:]
@@ -234,39 +254,40 @@ def grow_until(
         before = now
 
 
-def _halves(count: int) -> list[slice]:
-    return [slice(0, count // 2), slice(count // 2, count)]
-
-
-def _times(matrix: Any, columns: Float) -> Float:
-    """matrix @ columns, (n, r) and (r, k), by two threads: memory feeds both better than one."""
-    result: Float = np.empty((matrix.shape[0], columns.shape[1]))
-
-    def part(rows: slice) -> None:
-        result[rows] = _rows(matrix, rows) @ columns
-
-    share([(partial(part, rows),) for rows in _halves(len(result))], min(cores(), 2))
-    return result
-
-
-def _rows(matrix: Any, rows: slice) -> Any:
-    """Rows of an array or a csr matrix, where its numbers are."""
+def _halves(matrix: Any) -> list[Any]:
+    """Return the upper and the lower rows of an array or a csr matrix, without a copy."""
+    half, rows = matrix.shape[0] // 2, matrix.shape[0]
     if isinstance(matrix, np.ndarray):
-        return matrix[rows]
-    ends = matrix.indptr[rows.start : rows.stop + 1]
-    numbers = slice(ends[0], ends[-1])
-    parts = matrix.data[numbers], matrix.indices[numbers], ends - ends[0]
-    return sparse.csr_matrix(parts, shape=(rows.stop - rows.start, matrix.shape[1]), copy=False)
+        return [matrix[:half], matrix[half:]]
+    parts = []
+    for first, last in ((0, half), (half, rows)):
+        ends = matrix.indptr[first : last + 1]
+        values, columns = (numbers[ends[0] : ends[-1]] for numbers in (matrix.data, matrix.indices))
+        shape = last - first, matrix.shape[1]
+        parts.append(sparse.csr_matrix((values, columns, ends - ends[0]), shape=shape, copy=False))
+    return parts
+
+
+def _times(halves: Sequence[Any], columns: Float) -> Float:
+    """matrix @ columns, (n, r) and (r, k), of its halves by two threads: memory feeds both better than one."""
+    results: list[Any] = [None, None]
+
+    def product(number: int) -> None:
+        results[number] = halves[number] @ columns
+
+    share([(partial(product, number),) for number in range(2)], min(cores(), 2))
+    return np.concatenate(results)
 
 
 def _adjoint(vectors: Float, columns: Float) -> Float:
     """vectors.T @ columns, (n, r) and (n, k), by two threads."""
     parts: list[Any] = [None, None]
+    of_vectors, of_columns = _halves(vectors), _halves(columns)
 
-    def part(number: int, rows: slice) -> None:
-        parts[number] = vectors[rows].T @ columns[rows]
+    def product(number: int) -> None:
+        parts[number] = of_vectors[number].T @ of_columns[number]
 
-    share([(partial(part, number, rows),) for number, rows in enumerate(_halves(len(vectors)))], min(cores(), 2))
+    share([(partial(product, number),) for number in range(2)], min(cores(), 2))
     return np.asarray(parts[0] + parts[1], dtype=np.float64)
 
 

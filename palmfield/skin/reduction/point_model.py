@@ -156,8 +156,12 @@ def point_model(
             "matrices": np.array(small.matrices), "force": small.force, "read": small.read, "error": np.array(error),
         }  # fmt: skip
         for number, other in enumerate(others):
-            matrices = DynamicStiffness(other).matrices
-            result[f"others_{number}"] = np.array([vectors.T @ (matrix @ vectors) for matrix in matrices])
+            factors = system.scaled_by(other)
+            if factors is None:
+                of_other = np.array([vectors.T @ (matrix @ vectors) for matrix in DynamicStiffness(other).matrices])
+            else:
+                of_other = np.array(factors)[:, None, None] * result["matrices"]
+            result[f"others_{number}"] = of_other
         return result
 
     depends_on = system.made_of, [other.made_of for other in others], unit, read, shares, highest_Hz

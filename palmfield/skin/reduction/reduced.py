@@ -82,11 +82,12 @@ class Reduced:
     @cached_property
     def _modes(self) -> "_Modes | None":
         """Return the modes of A; None if they are ill conditioned."""
-        roots, vectors = np.linalg.eig(self.rates)
-        if not np.linalg.cond(vectors, 1) < MOST_CONDITION:
-            return None
-        inverse = np.linalg.inv(vectors)
-        return _Modes(roots, vectors, inverse, np.linalg.solve(vectors, self.inputs))
+        with one_blas_thread:
+            roots, vectors = np.linalg.eig(self.rates)
+            if not np.linalg.cond(vectors, 1) < MOST_CONDITION:
+                return None
+            inverse = np.linalg.inv(vectors)
+            return _Modes(roots, vectors, inverse, np.linalg.solve(vectors, self.inputs))
 
     def decoupled(self, step_s: float) -> "Decoupled | None":
         """Return the same steps in independent coordinates; None if the modes are ill conditioned."""
@@ -98,7 +99,8 @@ class Reduced:
         back: Float = np.empty((self.state_size, self.state_size))
         back[0:count:2], back[1:count:2] = 2.0 * swinging.real, -2.0 * swinging.imag
         back[count:] = modes.vectors[:, fading].real.T
-        there: Float = np.linalg.inv(back).astype(np.float64, copy=False)
+        with one_blas_thread:
+            there: Float = np.linalg.inv(back).astype(np.float64, copy=False)
         _, start, end = self.propagators(step_s)
         grow, fall = np.exp(modes.roots[paired] * step_s), np.exp(modes.roots[fading].real * step_s)
         return Decoupled(there, back, grow, fall, start.T @ there, end.T @ there)
