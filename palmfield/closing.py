@@ -5,7 +5,7 @@ from typing import Self
 
 
 class Closing(ABC):
-    """Closed at the end of a `with` block, also after an error."""
+    """An object that is closed at the end of a `with` block, also after an error."""
 
     @abstractmethod
     def close(self) -> None:

@@ -185,7 +185,7 @@ def check_room(needed: int, worlds: int, device: str) -> None:
 
 
 THREADS = 128
-"""In a block, on a GPU."""
+"""Number of threads of a block on a GPU."""
 
 
 class _Loader:
@@ -232,9 +232,9 @@ def load_ahead(modules: Iterable[Any], device: str) -> None:
 
 
 def load_kernels(module: Any, device: str, block_dim: int = THREADS) -> None:
-    """Load a module of kernels, or the one of `kernel.module`, next; block_dim: threads of a GPU's block.
+    """Load a module of kernels (or that of a kernel) before all others; block_dim: threads of a block on a GPU.
 
-    Raises what Warp raises. Ctrl-C need not wait for the compiler."""
+    Raises the errors of Warp. Ctrl-C does not wait for the compiler."""
     loader, load = _load_of(module, device, block_dim)
     if not load[0].done():
         with suppress(ValueError):  # it is being loaded
@@ -322,7 +322,7 @@ def _streams(device: str, count: int) -> list[Any]:
 
 
 def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[], object]:
-    """Return a call that does launches and copies, in order, as one captured graph. They are also done once here.
+    """Return a call that does launches and copies, in order, as one captured graph. They are done once here too.
 
     Other threads must hold `launching` for their launches.
     """

@@ -92,7 +92,7 @@ MEMORY_SIGNS = ("Failed to allocate", "out of memory", "CUDA error 2:")
 
 
 def explained(error: Exception) -> Exception:
-    """Return the error; for an error of Warp that a GPU is out of memory, return a DeviceError with a remedy."""
+    """Return the error, or a DeviceError with a remedy if Warp reports that a GPU is out of memory."""
     text = " ".join(str(error).split())
     if not isinstance(error, RuntimeError) or not any(sign in text for sign in MEMORY_SIGNS):
         return error
@@ -115,7 +115,7 @@ class explaining:
 
 
 class naming:
-    """A context that adds names and remedies to a PalmfieldError in the block that lacks them."""
+    """Return a context that adds names and remedies to a PalmfieldError raised in the block, if it has none."""
 
     def __init__(self, *about: str, mends: Sequence[str] = ()):
         self.about, self.mends = about, mends

@@ -187,7 +187,7 @@ def measured() -> Iterator[Profile]:
 
 
 def holds(name: str, thing: object) -> None:
-    """Count the arrays that an object refers to under a name, until they are freed."""
+    """Count the arrays to which an object refers, under a name, until they are freed."""
     if running:
         running[-1].count(name, thing)
 

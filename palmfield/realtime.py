@@ -9,7 +9,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 MAKER_PRIORITY, FOLLOWER_PRIORITY = 40, 30
-"""Priorities of the thread that makes frames (the player has a higher one) and of that which fits a hand to samples."""
+"""Priorities of the thread that makes frames (the player has a higher one), and of the thread that fits a hand to
+samples.
+"""
 SWITCH_S = 200e-6
 """Switch interval of Python threads [s], short so that the thread of a virtual board can read bytes."""
 

@@ -55,7 +55,7 @@ LAWS = {
         "2 p_rms^2/(rho c^2) on lit points: exact for a plane wave at normal incidence; overstates focused beams"
     ),
 }
-"""Laws for the incident field, by the value of the scene's key `arp_law`. A new law is a new entry."""
+"""Laws for the incident field, by the value of key `arp_law` of a scene. A new law is a new entry."""
 
 ALPHA_RANGE = 1.0, 2.0
 """Range of the factor alpha, from a fully absorbing to a fully reflecting wall."""

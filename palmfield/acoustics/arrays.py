@@ -26,7 +26,7 @@ def layout(name: str, p0_Pa_m: float | None = None) -> Array:
     """Return the array of a known board.
 
     name: a key of LAYOUTS.
-    p0_Pa_m: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]; None for the layout's value.
+    p0_Pa_m: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]; None for the value of the layout.
     Raises SceneError for another name, and for a p0 that is not positive.
     """
     if name not in LAYOUTS:

@@ -112,7 +112,7 @@ class DoubleLayer:
         return wp.array(pairs, dtype=wp.vec2, device=self.device)
 
     def summands(self, points: wp.array, density: wp.array, parts: int) -> list:
-        """Return the arguments of the kernel `far` without the result."""
+        """Return the arguments of kernel `far`, except its result."""
         return [points, self.centroids, self.moments, density, self.sine, self.cosine, self.softening, parts]
 
     def _far_on_cpu(self, density: wp.array, result: wp.array) -> None:

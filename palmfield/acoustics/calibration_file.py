@@ -24,7 +24,7 @@ RANGES = {
     "resonance_Hz": (20e3, 80e3, ", in hertz"),
     "quality": (1.0, 1000.0, ""),
 }
-"""Allowed range and unit of the numbers in a file; the ranges of the last two are those of the scene's keys."""
+"""Allowed range and unit of the numbers in a file; the ranges of the last two are those of the keys of a scene."""
 
 
 class _Part(BaseModel):

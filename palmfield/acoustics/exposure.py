@@ -49,7 +49,7 @@ def ball_points(middle: Float, radius_m: float, spacing_m: float) -> Float:
 
 
 def radiated_power_W(array: Array, drive: Complex, air: Air) -> float:
-    """Return the sum of the sound powers of all transducers, each without the others.
+    """Return the sum of the sound powers of all transducers, each as if it were alone.
 
     drive: complex amplitude relative to full drive, shape (n,). The power is the integral of |p|^2/(2 rho c) over the
     half space in front. Raises PalmfieldError for another shape.

@@ -194,7 +194,7 @@ class KnifeEdges:
         self._stages: list[list[Calls]] = []
 
     def choose(self, points: Int) -> None:
-        """Set the points of the next weights, by their numbers among the points of the nodes; their count is fixed."""
+        """Set the points for the next weights, as numbers among the points of the nodes; the count is fixed."""
         if points is not self._chosen:
             for shared, values in ((self._neighbours, self.nodes.neighbours), (self._shares, self.nodes.shares)):
                 shared.host[:, : self._count] = values[:, points]

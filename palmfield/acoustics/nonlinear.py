@@ -91,7 +91,7 @@ def fundamental_left(sigma: float) -> float:
 
 
 def arp_left(sigma: float) -> float:
-    """Return the ARP relative to that of a linear beam; below the shock distance there is no loss, by the harmonics.
+    """Return the ARP relative to that of a linear beam; below the shock distance harmonics replace all of the loss.
 
     It is the mean square of the steepened sine with its weak shock, (2/pi) ((pi - s)/2 + sin(2s)/4 + sigma sin(s)^3/3),
     where s = sigma sin(s) is the phase that has entered the shock.

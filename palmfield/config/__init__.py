@@ -1,4 +1,4 @@
-"""Typed configuration of the modules. These models are the one source of the scene's keys, units and defaults."""
+"""Typed configuration of the modules. These models are the only source of keys, units and defaults of a scene."""
 
 from palmfield.config.array import ArrayConfig
 from palmfield.config.base import Config, allowed, known_keys, parse, renamed_table, table, unit, unknown_key

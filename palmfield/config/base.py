@@ -1,4 +1,4 @@
-"""Base of all modules' keys: the model, the types of values, and the error messages for invalid values."""
+"""Base of the keys of all modules: the model, the types of values, and the error messages for invalid values."""
 
 import json
 import re
@@ -198,7 +198,7 @@ def _properties(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def unit(key: str) -> str:
-    """Return the unit in a key's name, e.g. `Pa/m` for `foundation_normal_Pa_m`; empty for a pure number or text."""
+    """Return the unit in the name of a key, e.g. `Pa/m` for `foundation_normal_Pa_m`; empty if it has none."""
     units = {
         "_kg_m3": "kg/m^3", "normal_Pa_m": "Pa/m", "tangential_Pa_m": "Pa/m", "_Pa_s_m": "Pa s/m", "_Pa_m": "Pa m",
         "_Pa": "Pa", "_m_s": "m/s", "_m": "m",
@@ -208,7 +208,7 @@ def unit(key: str) -> str:
 
 
 def table(model: type[Config]) -> list[tuple[str, str, str, str, str]]:
-    """Return rows (key, unit, allowed, default, meaning) of a module's keys."""
+    """Return rows (key, unit, allowed, default, meaning) of the keys of a module."""
     rows = []
     for key, info in model.model_fields.items():
         default = info.default
@@ -220,5 +220,5 @@ def table(model: type[Config]) -> list[tuple[str, str, str, str, str]]:
 
 
 def renamed_table(model: type[Config]) -> list[tuple[str, str]]:
-    """Return rows (old key or old key and value, new name) of a module's renamed keys."""
+    """Return rows (old key or old key and value, new name) of the renamed keys of a module."""
     return [(name.replace("=", " "), use) for name, use in model.renamed.items()]

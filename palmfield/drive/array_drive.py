@@ -47,8 +47,8 @@ class ArrayDrive:
 
     array: the arrays of the scene as one source; chosen: transducers that this stimulus drives, shape (k,), ascending
         arp_peak_Pa: ARP at the focus at the loudest moment, if the stimulus sets it; drive_amplitude: of each
-        transducer, if the stimulus sets that (1 if it sets neither); board: that plays the drive
-    about, about_focus: first words of its error messages, and of those about its foci
+        transducer, if the stimulus sets it (1 if it sets neither); board: board that plays the drive
+    about, about_focus: first words of error messages on the drive, and on its foci
     Amplitudes are over all N transducers, 0 for those that are not chosen.
     """
 
@@ -99,7 +99,7 @@ class ArrayDrive:
         return unit
 
     def unit_drive_at(self, focal_points: FocalPoints, point: Float) -> UnitDrive:
-        """Return `unit_drive` for one of the stimulus's points, shape (3,), at its present place."""
+        """Return `unit_drive` for one point of the stimulus, shape (3,), at its present place."""
         last, key = self._last, point.tobytes()
         if last is None or last[0] is not focal_points or last[1] != key:
             uneven = focal_points.table is not None or focal_points.arp
@@ -170,9 +170,9 @@ class ArrayDrive:
     def unit_drives(
         self, points: Float, focal_points: FocalPoints, group: Int | None = None, audible: Bool | None = None
     ) -> Complex:
-        """Return amplitudes of `unit_drive` for many of the stimulus's points, shape (k, N).
+        """Return amplitudes of `unit_drive` for many points of the stimulus, shape (k, N).
 
-        points: for each row one of the stimulus's points, shape (k, 3), or several, shape (k, d, 3), from which
+        points: for each row one point of the stimulus, shape (k, 3), or several, shape (k, d, 3), from which
             `group`, shape (N,), selects one for each transducer
         focal_points: places of these points
         audible: whether each point will sound, shape (k, d): only these must be within the range of the array. Errors

@@ -1,4 +1,4 @@
-"""Real AUTD3 units as a transport: frames of board `autd3` are sent by their own client, autd3 0.12."""
+"""Real AUTD3 units as a transport: the AUTD3 client (autd3 0.12) sends the frames of board `autd3`."""
 
 import asyncio
 import contextlib
@@ -61,7 +61,7 @@ class Autd3Units:
         return True
 
     def pattern(self, frame: bytes) -> Any:
-        """Return the client's command for one frame: each unit's 249 phases, then its 249 intensities."""
+        """Return the command of the client for one frame: for each unit 249 phases, then 249 intensities."""
         both = np.frombuffer(frame, np.uint8).reshape(-1, 2, TRANSDUCERS)
         package = self._package
         phases = package.pattern.PhaseBuffer.from_array(np.ascontiguousarray(both[:, 0]))
@@ -75,7 +75,7 @@ class Autd3Units:
         return None
 
     def close(self) -> None:
-        """Silence the units by their client's own command, and free the link; a lost link is only freed."""
+        """Silence the units by a command of the client, and free the link; a lost link is only freed."""
         if self._loop.is_closed():
             return
         if self._client is not None:
@@ -132,10 +132,10 @@ class Autd3Units:
 
 
 def open_units(name: str, target: str) -> Autd3Units:
-    """Open AUTD3 units on a link listed in WAYS; the search begins when the first bytes give their number.
+    """Open AUTD3 units on a link listed in WAYS; the search begins with the first bytes, which give their number.
 
     name: for messages; target: text after autd3: in WAYS
-    emulator: emulated units of AUTD3's own software, in this process
+    emulator: units emulated by the AUTD3 software in this process
     Raises DeviceError for another link, and if the extra is not installed.
     """
     way, number = _parts(target)

@@ -68,7 +68,7 @@ class Flag(NamedTuple):
 
 
 class Twin(ABC):
-    """A board just switched on that reads bytes and computes its emission. Invalid bytes set flags and raise no error.
+    """A simulated board after power-up: reads bytes, computes its emission, and sets flags for invalid bytes.
 
     count: transducers; byte_s: time of a byte on the line [s]
     time_s: arrival of the last byte [s]; flags: detected errors
@@ -106,7 +106,7 @@ class Twin(ABC):
 
 
 class RewiredTwin(Twin):
-    """The twin of a board with transducers wired in another order than the layout's."""
+    """The twin of a board whose transducers are wired in another order than in the layout."""
 
     def __init__(self, inner: Twin, places: tuple[int, ...]) -> None:
         super().__init__(inner.count, inner.byte_s)
@@ -139,14 +139,14 @@ class Board:
     line: how bytes reach it, None for a board without bytes; max_frame_rate_Hz: frames a second, inf for any
     phase_steps: in a turn, None for any phase; amplitude, amplitude_steps: kind of amplitudes of each transducer, and
         number of levels above 0
-    takes: whether a frame contains each transducer's amplitude, or place and level of one focus
+    takes: whether a frame contains the amplitude of each transducer, or place and level of one focus
     start, stop: byte sequences before the first frame and after the last; both silence it
     when_host_dies, cannot_guarantee: in a sentence each
     modulates: whether the board generates an envelope, which the scene must request
     keys: of palmfield.driver that it takes besides `board`
     dither: whether amplitudes are made by switching some transducers on and others off
     compensate: whether the sent drive compensates dead and inverted transducers and known phases
-    places: of each transducer in the board's byte order, where that is not the layout's; empty where it is
+    places: of each transducer in the byte order of the board; empty if it is the order of the layout
     """
 
     name: str
@@ -238,9 +238,8 @@ class Board:
         return levels
 
     def modulating(self, frequency_Hz: float) -> Self:
-        """Return this board with its own envelope at a rate [Hz]; only for one that `modulates`.
-
-        Raises DeviceError for a rate that it does not have.
+        """Return this board with its envelope at a rate [Hz]; only for boards that set `modulates`. Raises DeviceError
+        for a rate that the board cannot play.
         """
         raise DeviceError(
             f"board '{self.name}' cannot make an envelope of {frequency_Hz:g} Hz; allowed: a board that modulates"
@@ -263,15 +262,15 @@ class Board:
         raise DeviceError(f"board '{self.name}' takes {self._input()}, not a focus; allowed: amplitudes")
 
     def twin(self) -> Twin:
-        """Return a board just switched on, transducers in byte order. Raises DeviceError for a board without bytes."""
+        """Return the simulated board, transducers in byte order. Raises DeviceError for a board without bytes."""
         raise DeviceError(f"board '{self.name}' takes {self._input()}, so it has no virtual twin; use another board")
 
     def wired_twin(self) -> Twin:
-        """Return a `twin` whose transducers are in the layout's order, for any wiring."""
+        """Return a `twin` whose transducers are in the order of the layout, for any wiring."""
         return RewiredTwin(self.twin(), self.places) if self.places else self.twin()
 
     def decode(self, data: bytes) -> list[Complex]:
-        """Return the emission of a board just switched on after each change, shape (n,) each."""
+        """Return the emission after each change, from power-up on, shape (n,) each."""
         twin = self.wired_twin()
         changes = twin.take(data)
         return list(map(attrgetter("amplitudes"), (*changes, *twin.until(twin.time_s + TWIN_DELAY_S))))
@@ -283,9 +282,10 @@ class Board:
 def play(board: Board, amplitudes: ArrayLike) -> Complex:
     """Return the emission of the board for the commanded `amplitudes`.
 
-    amplitudes: complex amplitude of each transducer relative to full drive, e^{-iwt}, shape (n,), in the layout's order
-    Returns the same shape: unchanged if the board is exact, else through its bytes and its virtual twin.
-    Raises DeviceError for amplitudes that the board cannot play.
+    amplitudes: complex amplitude of each transducer relative to full drive, e^{-iwt}, shape (n,), in the order of the
+    layout
+    Returns the same shape: the amplitudes themselves if the board is exact, else those that its virtual twin decodes
+    from its bytes. Raises DeviceError for amplitudes that the board cannot play.
     """
     if board.line is None:
         return np.array(amplitudes, dtype=np.complex128)
@@ -320,8 +320,8 @@ def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
 def switched(board: Board, amplitudes: ArrayLike) -> tuple[Complex, np.ndarray]:
     """Return amplitudes of a board with off and full only, and which transducers are on, shapes (n,).
 
-    Raises DeviceError for an amplitude between off and full, unless the board dithers. Then a share of the transducers
-    equal to the amplitude is on, always the same ones.
+    Raises DeviceError for an amplitude between off and full, unless the board dithers. Then the share of active
+    transducers is the amplitude, and the choice of transducers is fixed.
     """
     values = commanded(board, amplitudes)
     magnitude = np.abs(values)
@@ -347,14 +347,14 @@ def thresholds(count: int) -> Float:
 
 
 REFERENCE_SPEED_m_s = sound_speed(Air())
-"""Speed of sound in the project's reference air, used by boards that compute the focus themselves."""
+"""Speed of sound in the reference air, used by boards that compute the focus themselves."""
 
 
 # -- limits of boards ------------------------------------------------------------------------------------------------
 
 
 def slow(board: Board, rate_Hz: float) -> bool:
-    """Whether the board takes fewer frames a second than this."""
+    """Return whether the frame rate of a board is below this rate."""
     return rate_Hz > board.max_frame_rate_Hz * (1.0 + 1e-9)
 
 
@@ -406,7 +406,7 @@ def check(
 
 
 def control_rate_Hz(board: Board, timestep_s: float) -> float:
-    """Return the highest rate at which the board's frames align with MuJoCo's steps or with parts of them [1/s]."""
+    """Return the highest frame rate at which each frame begins with a MuJoCo step or a part of one [1/s]."""
     if board.exact:
         return 0.0
     period_s = 1.0 / board.max_frame_rate_Hz

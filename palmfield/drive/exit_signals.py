@@ -15,7 +15,7 @@ def leave(number: int, _frame: FrameType | None) -> None:
 
 
 def in_main_thread() -> bool:
-    """Whether this is the thread that Python hands signals to."""
+    """Return whether Python runs signal handlers in this thread."""
     return threading.current_thread() is threading.main_thread()
 
 

@@ -8,7 +8,7 @@ import scipy  # loads its parts at first use
 from palmfield.types import Complex, Float
 
 ALONG = np.linspace(0.55, 1.05, 101)
-"""First search points, as shares of the distance from the array's middle to the focus."""
+"""First search points, as shares of the distance from the middle of the array to the focus."""
 CLOSE_M = 1e-5
 
 

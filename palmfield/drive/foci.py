@@ -34,7 +34,7 @@ REGULARISATION = 0.01
 """Tikhonov parameter of method "tikhonov", relative to the mean squared row norm of the transfer matrix."""
 
 FAINT = 0.01
-"""A focus with less pressure than this, relative to the loudest focus, does not fix the drive's common phase."""
+"""A focus with less pressure than this, relative to the loudest focus, does not set the common phase of a drive."""
 
 RELAXATION = 0.4
 """Power of the correction of the weights in "gsw".
@@ -164,7 +164,7 @@ def solve_transfer(
     iterations: int | None = None,
     seed: int = 0,
 ) -> Foci:
-    """As solve_foci, for a given transfer matrix (also one computed in float32).
+    """Solve a drive as `solve_foci` does, for a given transfer matrix (also one computed in float32).
 
     method:
         "naive": the sum of the single foci under random phases, its amplitude set to 1 (Di Leonardo's "SR") "gs":

@@ -1,13 +1,13 @@
-"""Logs of the data sent to a board with their times: text that can be read at any moment, and sent again.
+"""Logs of the data sent to a board, with times, as text. A log can be read while it is written, and sent again.
 
 The first line is a JSON object: `palmfield_log` (1, the version), `board`, `keys` (of palmfield.driver), `transducers`,
-`array`, `layout_version` (the layout's name and version), `air` (temperature_C, humidity_percent, pressure_Pa),
+`array`, `layout_version` (name and version of the layout), `air` (temperature_C, humidity_percent, pressure_Pa),
 `limits` (keys of palmfield.driver about level and duration of sound), `p0_Pa_m` and `p0_high_Pa_m` (of the first array,
-with the upper end of its range; null for the layout's). Null for the layout's values are also: `positions_m`, places of
-the first array's transducers, `turns_rad`, the phase that each adds to its command, and `address`, the places of all
-transducers in the board's byte order. Each further line is a JSON object of one piece of bytes:
-`t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes, and `cut` if, after a
-write timeout, the number of sent bytes is unknown.
+with the upper end of its range). If the first array differs from its layout: `positions_m`, places of its transducers,
+`turns_rad`, the phase that each adds to its command, and `address`, the places of all transducers in the byte order of
+the board. Null means the value of the layout. Each further line is a JSON object of one piece of bytes: `t`, when its
+first byte was given to the port [s, since the link was opened], `hex`, the bytes, and `cut` if, after a write timeout,
+the number of sent bytes is unknown.
 """
 
 import json
@@ -111,7 +111,7 @@ class Piece(NamedTuple):
 
 
 class FrameLog:
-    """A log written line by line."""
+    """Writes a log line by line."""
 
     def __init__(self, path: str | Path, head: LogHead) -> None:
         """Raises OutputError if the file cannot be made."""
@@ -123,7 +123,7 @@ class FrameLog:
         self._write(json.dumps({"palmfield_log": VERSION, **header}) + "\n")
 
     def add(self, time_s: float, data: bytes, *, whole: bool = True) -> None:
-        """Raises OutputError if writing fails."""
+        """Add the bytes that were sent at a time. Raises OutputError if writing fails."""
         self._write(log_line(time_s, data, whole=whole))
 
     def _write(self, line: str) -> None:

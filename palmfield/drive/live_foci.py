@@ -1,4 +1,4 @@
-"""Foci received from another program over a socket while they sound: a line of JSON each."""
+"""Receive foci from another program over a socket, one line of JSON each, while they are played."""
 
 import json
 import math
@@ -33,8 +33,8 @@ class Came(NamedTuple):
 def read_focus(line: bytes, offset: Float) -> LiveFocus:
     """Read the focus from a line of JSON with one object.
 
-    focus_m: three numbers, in the frame of the array; or, with position_m and quaternion (w first), which give a moving
-    frame in the array's frame, in that frame. level: 0 to 1, by default 1.
+    focus_m: three numbers, in the frame of the array or, with position_m and quaternion (w first), in the moving frame
+    that they define in the frame of the array. level: 0 to 1, by default 1.
     offset: focus_m for a position without one [m], shape (3,)
     Raises BadLine for anything else.
     """

@@ -1,4 +1,4 @@
-"""Emission of one stimulus's transducers with a moving focus, on a device, as launches for a captured graph.
+"""Emission of the transducers of one stimulus with a moving focus, on a device, as launches for a captured graph.
 
 `palmfield.drive.transducer_response` computes drives with NumPy; here a few numbers for each moment are the input, and
 kernels write the drives to the input of the sound field.
@@ -136,7 +136,7 @@ class PathDrives:
         ]
 
     def pushed(self, weights: Float) -> Float:
-        """Weights of the rows of `PathMemory.force` in the mean ARP; weights: of the moments, shape (m,)."""
+        """Return the weights of the rows of `PathMemory.force` in the mean ARP; weights: of the moments, shape (m,)."""
         return weights[weights > 0.0] if self.rings else np.ones(1)
 
     def ring(self, moments: Moments) -> Complex:
@@ -178,7 +178,7 @@ def push_rows(weights: Float) -> Int:
 
 
 def aim_of(drive: ArrayDrive) -> tuple[float, float]:
-    """Target ARP at the focus times rho c^2 [Pa^2], 0 if the drive's amplitude is given, and that amplitude."""
+    """Return target ARP at the focus times rho c^2 [Pa^2] (0 if the amplitude is given), and drive amplitude."""
     return 0.0 if drive.arp_peak_Pa is None else drive.arp_peak_Pa * drive.array.impedance, drive.amplitude
 
 

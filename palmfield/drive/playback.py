@@ -37,8 +37,7 @@ def frame_times(
 ) -> list[float]:
     """Return due times of frames [s]: at points of paths and control ticks, at jumps, and every REFRESH_S otherwise.
 
-    step_s: MuJoCo's step [s], if a part moves: poses change at the start of a step, and less frequent frames wait for
-        it
+    step_s: MuJoCo step [s], if a part moves: poses change at the start of a step, so less frequent frames are due there
     besides: further due times, unless another is within least_s [s]
     Raises SceneError for a duration or a step that is not finite and above 0, and for more than MOST_FRAMES.
     """

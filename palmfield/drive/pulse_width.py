@@ -19,7 +19,7 @@ AUTD3_LEVELS = 255
 
 Edge = Literal["leading", "trailing", "centre"]
 EDGE_TURNS: dict[Edge, float] = {"leading": 0.5, "trailing": -0.5, "centre": 0.0}
-"""Phase of the first harmonic per duty, in turns, with that edge of the pulse held in place."""
+"""Phase of the first harmonic per duty, in turns, for each edge of the pulse that can be fixed."""
 
 
 def widths(amplitude: ArrayLike, ticks: int, exponent: float = 2.0) -> Int:
@@ -37,6 +37,6 @@ def edge_phase(duty: ArrayLike, fixed: Edge) -> Float:
     """Phase of the first harmonic [rad] (later is positive) relative to a pulse about time 0.
 
     With the leading edge at time 0 the pulse's middle is pi d later; with the trailing edge, pi d earlier.
-    A drive whose amplitude changes at a held edge therefore changes its phase.
+    So the phase of a drive with a fixed edge changes with its amplitude.
     """
     return 2.0 * np.pi * EDGE_TURNS[fixed] * np.asarray(duty, float)

@@ -1,4 +1,4 @@
-"""Write frames to a file instead of a line, with the same bytes."""
+"""Write the bytes of frames to a file instead of a line."""
 
 from collections.abc import Sequence
 from contextlib import closing, nullcontext

@@ -1,4 +1,4 @@
-"""Errors of ignoring ring-up and flight time, measured on samples of a scene's own drive.
+"""Errors of ignoring ring-up and flight time, measured on samples of the drive of a scene.
 
 Every jump of the drive counts: start, stop, path points, control ticks, and jumps and cusps of a modulation.
 """
@@ -88,12 +88,12 @@ def response_errors(
     rates: Complex,
     times_s: Float,
 ) -> tuple[ResponseError, ResponseError]:
-    """Errors of ignoring the transducers' ring-up, and of ignoring differences in flight time.
+    """Return the errors of ignoring ring-up, and of ignoring differences in flight time.
 
     The first: the emission of a pole against the drive itself, delayed by the mean delay of all. The second: the
     emission of the poles, each delayed by its flight time against the mean, or all equally.
 
-    along: from the stimulus's points, shape (k, 3), to foci in the frame of the first array [m]; several foci count as
+    along: from points of the stimulus, shape (k, 3), to foci in the frame of the first array [m]; several foci count as
         one in their middle
     focusing: from foci, shape (k, 3), and the numbers of some transducers to their drives, shape (k, n)
     weights: shares of the transducers in the pressure at the first focus, see `shares`, shape (n,)
@@ -128,13 +128,14 @@ def response_errors(
 def changes_of_motion(
     stimulus: StimulusConfig, rate: complex, spread_s: float, frequency_Hz: float
 ) -> tuple[float, float]:
-    """Relative change of the largest displacement under a stationary focus due to ring-up and flight times.
+    """Return the relative change of the largest displacement under a stationary focus due to ring-up and flight times.
 
     The skin is a weakly damped oscillator. A steady load that starts late or gradually gives the same displacement as
     an instant one, except for changes as fast as the oscillator.
 
-    rate: of the transducers' pole [1/s]; spread_s: between the first and the last transducer's sound, even between them
-    frequency_Hz: of the oscillator, in which most of the skin's response lies
+    rate: of the pole of the transducers [1/s]; spread_s: between the first and the last sound to arrive, even in
+    between
+    frequency_Hz: of the oscillator, at which most of the response of the skin lies
     """
     delay = (1.0 / rate).real
     step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)

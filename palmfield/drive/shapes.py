@@ -2,8 +2,8 @@
 
 Like `palmfield.acoustics.focus.focus` they return the commanded drive, and ignore dead or inverted transducers.
 
-Shapes that divide the array do so round the beam's axis: the line into the focus along the mean direction of the sound
-that arrives there. Under an off-axis focus the parts then still balance, unlike parts round the normal of the board.
+Some shapes divide the array round the axis of the beam: the line into the focus along the mean direction of the sound
+that arrives there. So the parts also balance for an off-axis focus, unlike parts round the normal of the board.
 """
 
 import dataclasses
@@ -28,8 +28,8 @@ ALONG_Y = 1.0 - 1e-12
 def twin_trap(array: Array, air: Air, point: ArrayLike, azimuth_rad: float = 0.0) -> Complex:
     """Focus whose halves are in antiphase: two lobes, and silence on the plane between them.
 
-    The plane holds the beam's axis; the lobes lie along azimuth_rad from x, seen along the beam. The silence is exact
-    where plane and array are mirror-symmetric. Transducers on the plane are off.
+    The plane contains the axis of the beam; the lobes lie along azimuth_rad from x, seen along the beam. The silence is
+    exact where plane and array are mirror-symmetric. Transducers on the plane are off.
 
     point: the focus [m], array frame, shape (3,)
     Returns complex amplitudes, shape (len(array),).
@@ -106,7 +106,7 @@ def plane_wave(array: Array, air: Air, direction: ArrayLike) -> Complex:
 
 
 def round_beam(array: Array, air: Air, point: ArrayLike) -> tuple[Float, Float]:
-    """Return where each transducer is relative to the beam's axis, seen from the focus, and its pressure there.
+    """Return the position of each transducer relative to the axis of the beam, seen from the focus, and its pressure.
 
     The axis is the mean direction of arrival, weighted by |p|. y is the frame's y as seen along the array's mean
     normal. If that is along y itself, it is the y of a board after rotation about x to look there.

@@ -71,7 +71,7 @@ class TransducerResponse:
     """Whether ring-up and flight time are modelled, and the errors of ignoring them.
 
     ring_up, flight_time: errors of the pressure without ring-up, and with equal flight times of all transducers
-    spread_s: between the first and the last transducer's sound; pole: of all N transducers
+    spread_s: between the first and the last sound to arrive; pole: of all N transducers
     delays_s: of each transducer against the middle [s] in the reference pose, shape (N,), zeros if ignored
     """
 
@@ -104,7 +104,7 @@ def transducer_response(
 ) -> TransducerResponse:
     """Decide which effects to model. ARP is quadratic in the pressure, so `auto` allows a quarter of the accuracy.
 
-    focal_points: of the stimulus in the reference pose; accuracy: target relative error of the skin's displacement;
+    focal_points: of the stimulus in the reference pose; accuracy: target relative error of the skin displacement;
     instances: of the arrays, as `drive.array.parts`; spread: whether flight times may differ
     """
     counts = [len(part) for part in drive.array.parts]
@@ -193,7 +193,7 @@ NO_LAG: Float = np.zeros(1)
 
 
 def delays_now(stimulus: StimulusConfig, drive: ArrayDrive, focal_points: FocalPoints) -> tuple[Float, Int | None]:
-    """`_delay_groups` with the present places of the arrays and the stimulus's points; the last result is cached."""
+    """`_delay_groups` with the present places of the arrays and of the points of the stimulus; the last is cached."""
     cached = drive.delays
     if cached is None or cached[0] is not focal_points:
         delays_s = flight_delays(drive, focal_points.at(first_point(stimulus)))
@@ -213,7 +213,7 @@ def _delay_groups(delays_s: Float | None) -> tuple[Float, Int | None]:
 def ring(
     emitted: complex | Complex, commanded: Complex | Float, moments: Moments, stepper: PoleStepper
 ) -> tuple[Complex, complex | Complex]:
-    """Step transducers through all moments: returns their emission at each, and at the end of the last step.
+    """Step transducers through all moments; return their emission at each moment and at the end of the last step.
 
     emitted: at the beginning, shape (N,); commanded: drive at the moments, shape (m, N). It is linear from moment to
     moment; in a held part the moment is in the middle
@@ -278,17 +278,17 @@ class EmittedCourse(NamedTuple):
 
 
 def silence(moments: int, end: Complex) -> EmittedCourse:
-    """Silence at some moments; end: as of EmittedCourse."""
+    """Return silence at some moments; end: as of EmittedCourse."""
     return EmittedCourse(np.zeros((0, len(end)), np.complex128), np.zeros((moments, 0), np.complex128), end, 0)
 
 
 def of_unit(unit: UnitDrive, levels: Complex | Float, end: Complex) -> EmittedCourse:
-    """One drive at some levels, shape (m,)."""
+    """Return the course of one drive at some levels, shape (m,)."""
     return EmittedCourse(unit.amplitudes[None], levels[:, None].astype(np.complex128, copy=False), end, unit.serial)
 
 
 def of_drives(drives: Complex, end: Complex) -> EmittedCourse:
-    """One drive for each moment, shape (m, N); they must not change."""
+    """Return the course of one drive for each moment, shape (m, N); the array must not change later."""
     return EmittedCourse(drives, _identity(len(drives)), end, next_serial())
 
 
@@ -312,7 +312,7 @@ def emitted_over(
 
     emitted: complex amplitudes at the beginning, shape (N,); those of transducers that this stimulus does not drive are
         ignored. Not changed, and not read without response
-    focal_points: places of the stimulus's points meanwhile
+    focal_points: places of the points of the stimulus during the step
     moments: `substep_moments` of this stimulus, or of all stimuli of a scene together
     For a stationary focus the result is levels of one unit drive if that is true to SILENT: no array of shape (m, N) is
     made then, if all transducers are alike and have equal flight times. Errors as `ArrayDrive.unit_drive`.
@@ -413,7 +413,7 @@ def emitted_now(
 
 
 def present_drive(course: EmittedCourse) -> tuple[Complex | None, float]:
-    """Return the drive at a course's first moment, shape (N,), and the factor of its ARP; None in silence."""
+    """Return the drive at the first moment of a course, shape (N,), and the factor of its ARP; None in silence."""
     if len(course.units) > 1:
         return rows(course)[0], 1.0
     factor = abs(course.levels[0, 0]) ** 2 if len(course.units) else 0.0
@@ -426,7 +426,7 @@ def instant(time_s: float) -> Moments:
 
 
 def combined(courses: Sequence[EmittedCourse]) -> EmittedCourse:
-    """Sum over simultaneous stimuli, at the same moments; each drives transducers of its own.
+    """Return the sum over simultaneous stimuli, at the same moments; no transducer belongs to two stimuli.
 
     Levels of one unit drive are kept where the others are silent.
     """

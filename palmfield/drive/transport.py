@@ -1,4 +1,4 @@
-"""Transports of bytes: serial ports and their URLs, pseudo-terminals, TCP sockets, and files. Independent of boards."""
+"""Transports of bytes, independent of boards: serial ports and their URLs, pseudo-terminals, TCP sockets, and files."""
 
 import contextlib
 import errno
@@ -41,12 +41,12 @@ class PortLost(DeviceError):
 
 
 class Transport(Protocol):
-    """Target of bytes. name: for messages"""
+    """A target of bytes. name: of the port or file, for messages"""
 
     name: str
 
     def write(self, data: bytes) -> bool:
-        """Send all of some bytes; False if they were not sent in time, or not completely.
+        """Send bytes; return False if they were not all sent in time.
 
         Raises PortLost if the other end is lost, OutputError if a file takes no more.
         """
@@ -65,7 +65,7 @@ class Transport(Protocol):
         ...
 
     def close(self) -> None:
-        """Free it; sends no bytes. A file gets its name now."""
+        """Close the port or file without sending bytes. A file gets its final name."""
         ...
 
 
@@ -84,7 +84,7 @@ class SerialTransport:
         self._offered, self._reported, self._first_reported, self._received = 0, 0, -1, b""
 
     def write(self, data: bytes) -> bool:
-        """False after a write timeout: part of the bytes may be on the line, so never send the rest of them."""
+        """Send bytes; return False after a write timeout. A part may be on the line then, so never send the rest."""
         try:
             self._listen()
             self._stream.write(data)
@@ -100,10 +100,9 @@ class SerialTransport:
         return True
 
     def offer(self, data: bytes) -> int:
-        """Return how many of some bytes the system takes at once; never waits, except for ports without a descriptor.
-
-        Never pass it the rest of a frame: after a partly taken frame comes a frame from its start. Raises PortLost if
-        the other end is lost.
+        """Return how many of the bytes the system accepts at once; never waits, except for ports without a descriptor.
+        Never pass the rest of a frame: after a partly accepted frame, pass a whole frame. Raises PortLost if the other
+        end is lost.
         """
         if self._fd is None:
             return len(data) if self.write(data) else 0
@@ -137,7 +136,7 @@ class SerialTransport:
     def await_report(self) -> None:
         """Wait for the first number of a virtual board, if there is one; before any byte is written.
 
-        It tries several times: on a machine that pauses the board is late too.
+        It tries several times, because the board is late too if the machine pauses.
         """
         for _ in range(FIRST_LOOKS):
             if self.is_virtual:
@@ -201,7 +200,7 @@ class FileTransport:
             self._file = self.part.open("wb", buffering=0)
 
     def write(self, data: bytes) -> bool:
-        """Always True; raises OutputError if writing fails, or failed before."""
+        """Write bytes and return True. Raises OutputError if writing fails or has failed before."""
         if self._file.closed:
             raise OutputError(f"cannot write {self.path}: the file is closed, or the disk is full; choose another file")
         try:
@@ -243,7 +242,7 @@ def open_serial(port: str, baud: int | None) -> SerialTransport:
 
 
 def may_be_virtual(port: str) -> bool:
-    """Whether a virtual board may be at a port's other end: pseudo-terminals, links to them, and sockets."""
+    """Return whether a virtual board may be at the other end of a port: pseudo-terminals, their links, sockets."""
     return port.startswith("socket://") or os.path.realpath(port).startswith("/dev/pts/")
 
 

@@ -42,7 +42,7 @@ class Faults:
         self.draws = Random(self.seed)
 
     def through(self, data: bytes) -> bytes:
-        """Return the part of some bytes that arrives."""
+        """Return the bytes that arrive, after the faults."""
         if self.drop == self.flip == 0.0:
             return data
         draw = self.draws.random
@@ -54,7 +54,7 @@ THREAD_PRIORITY = 70
 
 
 class VirtualBoard:
-    """A board's virtual twin behind a port. Use as a context manager, or `unplug` it at the end.
+    """The virtual twin of a board behind a port. Use as a context manager, or `unplug` it at the end.
 
     port: to open, a device or a pyserial URL; received: all bytes so far, as they arrived
     emitted: emission over time, on `clock`; flags: errors that the board detected
@@ -107,7 +107,7 @@ class VirtualBoard:
         return self.twin.flags
 
     def stall(self, stalled: bool = True) -> None:
-        """Take no more bytes until reversed; they wait in the system's buffers."""
+        """Stop or resume reading; meanwhile bytes wait in the buffers of the system."""
         if stalled:
             self._stalled.set()
         else:
@@ -132,7 +132,7 @@ class VirtualBoard:
         self.emitted += self.twin.until(self.clock)
 
     def unplug(self) -> None:
-        """Remove the port; the board's emission continues."""
+        """Remove the port; the emission of the board continues."""
         if self._ended.is_set():
             return
         self._ended.set()

@@ -85,7 +85,7 @@ class Module:
 
 
 ADVANCES = -1
-"""Stands for the end of a step among the capabilities of MuJoCo's plugins."""
+"""Capability of MuJoCo plugins that represents the end of a step."""
 _worlds: dict[int, World] = {}
 _lock = threading.RLock()
 _thunks: list[Any] = []
@@ -112,7 +112,7 @@ def world_of(data: mujoco.MjData) -> World | None:
 
 
 def raise_errors(data: mujoco.MjData) -> None:
-    """Raise, once, a stored error that a module could not raise through MuJoCo's C frames.
+    """Raise, once, a stored error that a module could not raise through the C frames of MuJoCo.
 
     Raises KeyboardInterrupt if Ctrl-C interrupted a module; the state then lacks a part of the step.
     """
@@ -133,7 +133,7 @@ def compiling() -> Iterator[None]:
 
 
 def take_compile_error() -> Exception | KeyboardInterrupt | None:
-    """Return a module's construction error since the last call in this thread; MuJoCo's own error only quotes it."""
+    """Return the error of constructing a module since the last call in this thread; MuJoCo only quotes it."""
     error, _compiling.error, _compiling.sizing = _compiling.error, None, None
     return error
 

@@ -77,9 +77,8 @@ class MotionModule(Module):
         self.world.put(self.due(self.world.raw.time))
 
     def due(self, time_s: float, at_once: bool = False) -> list[Write]:
-        """Return the writes for mocap body and servo targets at a time [s], and for the hand's pose in some cases.
-
-        These cases are `at_once`, the first step of the scene, and key follow = exact.
+        """Return the values to write for mocap body and servo targets at a time [s], and in some cases for the pose of
+        the hand. These cases are `at_once`, the first step of the scene, and key follow = exact.
         """
         pose = self.motion.at(time_s)
         place, turn = self._offsets

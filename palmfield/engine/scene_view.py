@@ -50,7 +50,7 @@ class SeenTransducers(NamedTuple):
 
 
 class SeenSkin(NamedTuple):
-    """ARP on a skin, the mean over an exposure. vertices [m], normals: shape (v, 3), world; faces: shape (f, 3)
+    """Mean ARP on a skin over an exposure. vertices [m], normals: shape (v, 3), world; faces: shape (f, 3)
 
     arp: by vertex [Pa], shape (v,); top: the largest since the view began [Pa]
     """
@@ -99,7 +99,9 @@ class SceneView:
         return SeenTransducers(places, axes, levels, np.angle(sounding), posed.arrays.parts[array].piston_radius_m)
 
     def foci(self, stimulus: int) -> Float:
-        """Return a stimulus's foci during the exposure, in order [m], world, shape (k, m, 3); k is 0 in silence."""
+        """Return the foci of a stimulus during the exposure, in order [m], world, shape (k, m, 3); (0, m, 3) if
+        silent.
+        """
         posed, times, _, _ = self._now()
         foci = self._emission.foci(posed, times)[stimulus]
         sounding = foci[factors_at(self.model.configs[stimulus], times) > 0.0]

@@ -69,7 +69,7 @@ class SkinModule(Module):
 
     @property
     def applied(self) -> Float:
-        """Return the mean force of the sound on this skin's body over the present step [N], world axes, shape (3,)."""
+        """Return the mean force of the sound on the body of this skin in the present step [N], world axes, (3,)."""
         force: Float = self.scene.applied[self.scene.model.skins[self.number].body]
         return force
 

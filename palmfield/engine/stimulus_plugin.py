@@ -21,7 +21,7 @@ class StimulusModule(Module):
     config: ClassVar[type[Config]] = StimulusConfig
 
     def draw(self, drawing: "Drawing") -> None:
-        """Draw a ball at each focus, and small ones at its places in the next moments."""
+        """Draw a ball at each focus, and small balls at its next places."""
         from palmfield.engine.scene_view import FOCUS, view_of
 
         view = view_of(self.world) if drawing.shows("site", FOCI_GROUP) else None

@@ -65,10 +65,10 @@ def boards_for(frame_rate_Hz: float, modulated: bool, *, several_foci: bool = Fa
 def board_of(
     driver: DriverConfig, transducers: int, *, calibrated: bool = False, address: ArrayLike | None = None
 ) -> Board:
-    """Return the board of palmfield.driver's keys, with the number of units for so many transducers.
+    """Return the board for the keys of palmfield.driver, with the number of units for so many transducers.
 
     calibrated: whether the transducers of an array were measured, so that a driver can correct them
-    address: place of each transducer in the board's byte order, shape (transducers,); None for the layout's order
+    address: place of each transducer in the byte order of the board, shape (transducers,); None for that of the layout
     Raises DeviceError if it cannot drive so many, and for a key that it does not have.
     """
     board = board_named(driver.board)

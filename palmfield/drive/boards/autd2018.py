@@ -161,7 +161,9 @@ def _depth(unit: int) -> int:
 
 
 class Autd2018Twin(Twin):
-    """Units that change at the sync after a packet. Silent at power-up; after a lost packet the last focus goes on."""
+    """Units that change at the sync after a packet. Silent at power-up; after a lost packet they keep the last
+    focus.
+    """
 
     def __init__(self, board: Autd2018) -> None:
         self._size = len(board.packet((0, 0, 0, 0)))

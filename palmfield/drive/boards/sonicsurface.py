@@ -71,7 +71,7 @@ class BufferedTwin(Twin):
 
     @abstractmethod
     def obey(self, command: int) -> bool | None:
-        """Obey one that is neither start nor swap: whether the emission changes; None where the byte is data."""
+        """Obey a command that is neither start nor swap. Returns whether the emission changes; None for data."""
 
     def take(self, data: bytes) -> list[Emitted]:
         changes = []

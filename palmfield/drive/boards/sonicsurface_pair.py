@@ -1,7 +1,7 @@
 """Two SonicSurface boards chained on one line, the second one above, facing the first.
 
-The second array's site is rotated by half a turn about the first one's x axis (quat="0 1 0 0"). In the vendor's frame
-its board has the mirrored map x' = -z, z' = -x, which in that site's frame is a quarter turn of the grid.
+The site of the second array is rotated by half a turn about the x axis of the first (quat="0 1 0 0"). In the vendor's
+frame its board has the mirrored map x' = -z, z' = -x, which in that site's frame is a quarter turn of the grid.
 """
 
 from dataclasses import dataclass

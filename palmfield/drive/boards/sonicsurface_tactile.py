@@ -1,4 +1,4 @@
-"""The SonicSurface's second firmware, "FPGA tactile modulation": the one for haptics.
+"""The second firmware of the SonicSurface, "FPGA tactile modulation", which is for haptics.
 
 It switches the emitters in turn, which makes an envelope whose rate is set by a byte. 150, 151, 192 and 193 are data.
 """
@@ -67,7 +67,7 @@ class SonicSurfaceTactile(Board):
 
 
 class TactileTwin(BufferedTwin):
-    """Amplitudes are those during an emitter's turn. envelope_Hz: rate of the turns [Hz]"""
+    """A twin of this firmware. Amplitudes are those while an emitter is on. envelope_Hz: rate of the turns [Hz]"""
 
     def __init__(self) -> None:
         super().__init__(LINE, PIECES, OFF)

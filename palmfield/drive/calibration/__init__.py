@@ -1,1 +1,1 @@
-"""Compute a calibration from a laboratory's readings: one file for each kind of measurement (docs/calibration.md)."""
+"""Compute a calibration from readings of a laboratory: one file for each kind of measurement (docs/calibration.md)."""

@@ -1,11 +1,11 @@
-"""Estimate polarity, phase and gain of each transducer, sounding one at a time before a microphone at several places.
+"""Estimate polarity, phase and gain of each transducer from its sound alone, at several places of a microphone.
 
 The pressure of transducer n at place m is G_n D(angle) e^{b1 s + b2 s^2} e^{ikr - beta r}/r with s = sin^2(angle). All
 of this is fitted together by Gauss-Newton steps: the complex factors G_n, the true places of the microphone, the speed
-of sound and its drift during the measurement, and the deviation of the directivity from the layout's (b1, b2). All but
-G have priors,
-and so have delays other than polarity, of a few degrees, by sin(2 (arg G - common phase))/2, which does not depend on
-polarity. Without that prior a wrong speed of sound would appear as delays that grow towards the rim.
+of sound and its drift during the measurement, and the deviation of the directivity from the layout's (b1, b2). All
+unknowns except G have priors. Delays other than polarity also have a prior of a few degrees, by sin(2 (arg G - common
+phase))/2, which does not depend on polarity. Without this prior a wrong speed of sound would appear as delays that grow
+towards the rim.
 """
 
 import math
@@ -28,11 +28,11 @@ DELAYS_RAD = math.radians(15.0)
 DIRECTIVITY = 0.3
 """Prior standard deviation of b1 and b2: pistons and measured tables differ by 0.2 of the amplitude at 30 degrees."""
 DEAD = 0.25
-"""A transducer with a lower share of the median's amplitude counts as dead."""
+"""A transducer whose amplitude is below this share of the median counts as dead."""
 STEPS = 60
 CONVERGED = 1e-7
 ODD, ODD_TIMES = 0.1, 6.0
-"""Least share of unexplained squared readings for a transducer to be misplaced, and least ratio to the median."""
+"""Least share of unexplained squared readings of a misplaced transducer, and its least ratio to the median."""
 CHANCE = 0.05
 LEAST_SHARE = 1e-3
 """Share of a step below which it is not halved further."""

@@ -18,7 +18,7 @@ FEWEST = 8
 DELAY_SD_S = 6e-6
 """Prior standard deviation of delays from place to place: 2 mm of path [s]."""
 NOISE = 0.01
-"""Noise of readings, relative to a place's loudest, which weights the delays."""
+"""Noise of readings, relative to the loudest reading of a place; it weights the delays."""
 
 
 @dataclass(frozen=True)

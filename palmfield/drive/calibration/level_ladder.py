@@ -14,9 +14,8 @@ MISSING = 0.05
 def fit_level(levels: ArrayLike, pressures_Pa: ArrayLike) -> Level:
     """Fit p = p1 a^exponent to the readings below saturation, and the level at which more than MISSING is missing.
 
-    Fitted in logarithms over levels up to a limit; the limit is lowered from full drive until none of the readings
-    above
-    it that follow one another up to full drive would fit within MISSING. Forces are passed as their square roots.
+    The fit is in logarithms, over levels up to a limit. The limit is lowered from full drive until all readings above
+    it deviate from the fit by more than MISSING. Forces are passed as their square roots.
 
     levels: of the drive, 0 < a <= 1, shape (n,), 5 different ones at least; pressures_Pa: amplitudes, shape (n,)
     Raises PalmfieldError for levels and readings out of these ranges, and where fewer than 4 levels are linear.

@@ -1,4 +1,4 @@
-"""Read a laboratory's readings from CSV files, and add their results to the calibration (docs/calibration.md)."""
+"""Read measurements of a laboratory from CSV files, and add their results to the calibration (docs/calibration.md)."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -264,7 +264,7 @@ MEASUREMENTS: dict[str, Measurement] = {
 def measured(kind: str, path: str | Path, calibration: Calibration, array: Array, under: Circumstances) -> Measured:
     """Return the calibration with the results of a file of readings.
 
-    kind: a key of MEASUREMENTS; array: of the calibration's layout
+    kind: a key of MEASUREMENTS; array: of the layout of the calibration
     Raises SceneError for a file that cannot be read or lacks columns, PalmfieldError for unusable readings.
     """
     file, measurement = Path(path), MEASUREMENTS[kind]

@@ -9,10 +9,11 @@ from palmfield.errors import PalmfieldError
 
 
 def fit_warm_up(times_s: ArrayLike, pressures_Pa: ArrayLike) -> WarmUp:
-    """p = p1 (1 + drop exp(-t/time_s)) by least squares.
+    """Fit p = p1 (1 + drop exp(-t/time_s)) by least squares.
 
     times_s: since the array was switched on, shape (n,), 6 at least; pressures_Pa: amplitudes, shape (n,)
-    Raises PalmfieldError for fewer readings, numbers out of range, and if the readings leave the time open.
+    Raises PalmfieldError for fewer readings, numbers out of range, and if the readings do not determine the time
+    constant.
     """
     t, p = np.asarray(times_s, float), np.asarray(pressures_Pa, float)
     if t.shape != p.shape or t.ndim != 1 or len(t) < 6:

@@ -1,4 +1,4 @@
-"""A process of its own that owns a board's port and sends frames on time, independent of the process of the caller.
+"""A separate process that owns the port of a board and sends frames on time, independent of the process of the caller.
 
 from palmfield.drive.player import Player
 with Player(board, "/dev/ttyUSB0") as player:

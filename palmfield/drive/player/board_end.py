@@ -1,4 +1,4 @@
-"""The player's end of a port: it passes on whole frames, counts bytes in transit, and silences the board."""
+"""The port in the process of the player: it sends whole frames, counts bytes in transit, and silences the board."""
 
 import os
 import time
@@ -63,7 +63,7 @@ class BoardEnd:
         return port
 
     def free_s(self, now: float) -> float:
-        """When the line is free. Raises PortLost if the port is lost, or has taken no bytes for long."""
+        """Time at which the line is free [s]. Raises PortLost if the port is lost or accepts no bytes."""
         self._poll(now)
         if self.line.stuck_s(now) > self.job.lost_s and (self._refused_s is not None or self._on_its_way):
             raise self._stuck()
@@ -71,7 +71,7 @@ class BoardEnd:
 
     @property
     def retry_s(self) -> float:
-        """The next frame is not written before this moment."""
+        """Time before which the next frame must not be written [s]."""
         return 0.0 if self._refused_s is None else self._refused_s + RETRY_S
 
     def _stuck(self) -> PortStuck:
@@ -86,7 +86,7 @@ class BoardEnd:
             self.late_s[frame.number] = max(self.late_s[frame.number], now - READING_AGE_S - frame.due_s)
 
     def hand(self, data: bytes, due_s: float, planned_s: float, number: int = -1) -> bool:
-        """Write a frame; False if the system did not take all of it: then send a frame from its start.
+        """Write a frame; return False if the system did not accept all of it: then write a whole frame next.
 
         due_s: target time of its last byte on the line; planned_s: planned time of writing, both on `now_s`
         number: of a frame whose time on the line `on_line` reports later
@@ -105,7 +105,7 @@ class BoardEnd:
         return True
 
     def on_line(self) -> list[tuple[int, float]]:
-        """Return each numbered frame's number and when its last byte was on the line, on `now_s` [s]."""
+        """Return the number of each numbered frame, and the time when its last byte was on the line, on `now_s` [s]."""
         return [(number, due_s + self.late_s[row]) for number, due_s, row in self.numbered]
 
     def _offer(self, data: bytes, now: float) -> bool:
@@ -156,7 +156,7 @@ class BoardEnd:
     # -- after the port was lost ---------------------------------------------------------------------------------------
 
     def exists(self) -> bool:
-        """Whether the port exists: as a file, or, if it cannot come back as the same one, open."""
+        """Whether the port exists: as a file, or, for ports without a file, as an open connection."""
         port = self.job.port
         return self._port is not None or (not (self.is_url or port.startswith("/dev/pts/")) and os.path.exists(port))
 

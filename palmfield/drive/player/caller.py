@@ -1,4 +1,4 @@
-"""The caller's side of a player: it starts the process, passes frames to it, and receives their results."""
+"""The player in the process of the caller: it starts the other process, sends frames to it, and gets results."""
 
 import contextlib
 import os
@@ -33,7 +33,7 @@ ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT")
 
 @contextlib.contextmanager
 def signals_to(alarm: socket.socket, silent_within_s: float) -> Iterator[None]:
-    """In the block numbers of signals are written to a socket as they come, also while Python is busy.
+    """In the block, numbers of signals are written to a socket at once, also while Python is busy.
 
     alarm: never blocks; silent_within_s: time until the board is silent before Ctrl-Z stops this process Signals are
     caught only in the main thread, and not those that the process ignores (as SIGHUP under nohup).
@@ -65,9 +65,9 @@ class Player:
     In the main thread SIGTERM, SIGHUP and SIGQUIT become SystemExit meanwhile, and Ctrl-Z silences the board before it
     stops the program.
 
-    priority: of the process, in words; silent: why live frames are silent, empty if they are not
-    begin_s: beginning of its log, on time.monotonic() [s]; report: of the last play, once this is closed
-    log_error: why the log ends early, once this is closed; else empty
+    priority: of the process, in words; silent: reason why live frames are silent, or empty
+    begin_s: beginning of its log, on time.monotonic() [s]; report: of the last play, after `close`
+    log_error: reason why the log ends early, after `close`; else empty
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Player:
         on_progress: Callable[[int, int], None] | None = None,
         on_sound: Callable[[float], None] | None = None,
     ) -> PlayReport:
-        """Send frames so that they are emitted at their times; returns when all are over and the board is silent.
+        """Send frames so that they are emitted at their times; return when all are played and the board is silent.
 
         frames: (time of emission since the start [s], bytes), times rising; duration_s: least end of the last one,
             since the start [s]
@@ -174,7 +174,7 @@ class Player:
 
     @property
     def played(self) -> PlayReport:
-        """Return `report`, once this is closed. Raises DeviceError where the player's process ended without one."""
+        """Return `report`, after `close`. Raises DeviceError if the process of the player ended without a report."""
         if self.report is None:
             raise DeviceError(f"the player process ended unexpectedly, so the output on {self.port} is unknown")
         return self.report

@@ -1,4 +1,4 @@
-"""Compute when the line is free: from the bytes written and its rate, and from the system's count of waiting bytes."""
+"""Compute when the line is free: from written bytes and its rate, and from the system's count of waiting bytes."""
 
 import math
 
@@ -22,7 +22,7 @@ class LineClock:
         self._since_s, self._least_s = -math.inf, math.inf
 
     def free_s(self, now_s: float) -> float:
-        """When the last written byte is on the line, or now."""
+        """Time when the last written byte is on the line, or now [s]."""
         return max(self._free_s, now_s)
 
     def hand(self, count: int, now_s: float) -> float:

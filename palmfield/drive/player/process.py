@@ -1,8 +1,8 @@
 """The player's process: `python -m palmfield.drive.player.process TALK ALARM`, numbers of two sockets of the caller.
 
 It loads neither NumPy nor Warp nor MuJoCo. It plays the frames received over the first socket. The second carries
-numbers of the caller's signals, which the system writes even while the caller is busy. The board is silenced at the
-caller's request, if the caller ends or is stopped, and if a signal ends this process.
+numbers of the signals of the caller, which the system writes even while the caller is busy. The board is silenced at
+the request of the caller, if the caller ends or is stopped, and if a signal ends this process.
 """
 
 import contextlib
@@ -27,9 +27,9 @@ from palmfield.errors import PalmfieldError
 
 now_s = time.monotonic
 SPIN_S = 80e-6
-"""Waits end this much before a moment; the rest is a busy loop on the clock."""
+"""Waits end this time before a moment; then a busy loop reads the clock [s]."""
 LOOK_S = 0.02
-"""Longest wait: then the caller is checked."""
+"""Longest wait [s]; then the caller is checked."""
 PARENT_S = 0.05
 PROGRESS_S = 0.1
 IDLE_S = 200e-6
@@ -70,9 +70,8 @@ def request_priority() -> str:
 
 
 class Caller:
-    """The caller's requests, by its messages and signals, and whether it exists.
-
-    ended: reason to end, empty without one; signals: that requested it; paused: must be silent
+    """Requests of the caller, by messages and signals, and whether it exists. ended: reason to end, or empty; signals:
+    signals that requested the end; paused: whether the board must be silent
     """
 
     def __init__(self, talk: socket.socket, alarm: socket.socket) -> None:
@@ -92,7 +91,7 @@ class Caller:
         self.signals += by_signal
 
     def listen(self) -> list[tuple[bytes, bytes]]:
-        """Read signals, and return the messages that have come."""
+        """Read signals, and return the received messages."""
         try:
             for number in self.alarm.recv(64):
                 self._signal(number)
@@ -123,7 +122,7 @@ class Caller:
             self._stopped = file.read().rpartition(b")")[2].split()[0] in (b"T", b"t")
 
     def wait(self, until_s: float) -> bool:
-        """Wait until a moment, a message, or LOOK_S; returns whether the moment has come."""
+        """Wait until a moment, a message, or for LOOK_S; return whether the moment is reached."""
         rest = until_s - SPIN_S - now_s()
         if rest > 0.0:
             open_ones = [one for one in (self.talk, self.alarm) if one not in self._closed]
@@ -140,7 +139,7 @@ class Caller:
         return True
 
     def send(self, **what: Any) -> None:
-        """Send a line without waiting, since it may not be read."""
+        """Send a line without waiting, since the caller may not read it."""
         with contextlib.suppress(OSError):
             self.talk.send(json.dumps(what).encode() + b"\n")
 
@@ -358,7 +357,7 @@ def main() -> int:
 
 
 def first_job(talk: socket.socket) -> Job:
-    """The first message. Raises EOFError if the caller ends before."""
+    """Return the first message. Raises EOFError if the caller ends before it."""
     inbox = Inbox(talk)
     talk.setblocking(False)
     while True:

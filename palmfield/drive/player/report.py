@@ -11,13 +11,13 @@ UNSENT_SHARE = 0.01
 class PlayReport:
     """frames: sent whole; skipped: replaced by a newer due one; cut: partly taken by the system
 
-    late_s: worst delay of a frame's last byte on the line; late_p99_s, late_p50_s: 99 and 50 % quantiles of it
+    late_s: worst delay of the last byte of a frame on the line; late_p99_s, late_p50_s: 99 and 50 % quantiles of it
     write_p99_s: 99 % quantile of the delay of writing to the system; write_worst_s: the worst delay
     seconds: duration of the sending; priority: of the player, in words
-    first_s, last_s: when the last bytes of the first and the last frame were on the line, on time.monotonic() [s]; None
-        without frames, and of a record
-    on_line: of live frames, if requested: their numbers, in the order given, and when the last byte of each was on the
-        line, on time.monotonic() [s]
+    first_s, last_s: when the last bytes of the first and the last frame were on the line, on time.monotonic() [s];
+    None without frames, and of a record
+    on_line: of live frames, if requested: their numbers, in the order given, and when the last byte of each was on
+    the line, on time.monotonic() [s]
     """
 
     frames: int

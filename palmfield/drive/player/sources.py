@@ -9,13 +9,13 @@ from palmfield.drive.player.budget import SoundBudget
 from palmfield.drive.player.messages import LiveFrame, Schedule
 
 CLOSE_S = 1e-6
-"""A line that is free within this of a frame's time counts as busy until then."""
+"""A line that is free within this time of a frame counts as busy until then [s]."""
 LIVE_AHEAD_S = 1e-3
 """A live frame is written this long before the line is free, so that the line has no pause [s]."""
 
 
 class NextFrame(NamedTuple):
-    """at_s: when to write it; due_s: target time of its last byte on the line; data: empty to choose again then
+    """at_s: when to write it; due_s: target time of its last byte on the line; data: empty to choose again at this time
 
     number: of the frame among all, from 0 on; -1 for repeated or extra frames
     """
@@ -35,7 +35,7 @@ class Source(Protocol):
         """Return the next frame, with the line free at a time; None after the end."""
 
     def sent(self, now_s: float) -> None:
-        """Record that the chosen one was sent."""
+        """Record that the chosen frame was sent."""
 
     def shift(self, by_s: float) -> None:
         """Shift the schedule by a pause of this length."""
@@ -102,7 +102,7 @@ class LiveSource:
 
     Frames with a due time wait for it, and of several due ones the newest is sent.
 
-    reason: why it is silent, or ""; muted: by the caller
+    reason: reason why it is silent, or ""; muted: whether the caller has muted it
     """
 
     def __init__(
