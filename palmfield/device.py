@@ -261,7 +261,7 @@ os.register_at_fork(after_in_child=_loads.clear)
 
 
 def run_kernel(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any] = (), **options: Any) -> Any:
-    """`wp.launch` of a kernel whose module `load_kernels` loads; options: of wp.launch, `device` always."""
+    """Do `wp.launch` of a kernel whose module `load_kernels` loads; options: of wp.launch, `device` always."""
     load_kernels(kernel.module, str(options["device"]), options.get("block_dim", 256))
     return wp.launch(kernel, dim, inputs, outputs, **options)
 

@@ -131,13 +131,13 @@ def openmpd_rows() -> Array:
 
 
 def ultraino() -> Array:
-    """64 transducers in the order of the signals of an Ultraino board, by rows from low y, x fastest."""
+    """Return 64 transducers in the order of the signals of an Ultraino board, by rows from low y, x fastest."""
     normals = np.tile([0.0, 0.0, 1.0], (64, 1))
     return from_poses("ultraino", lattice(8, 8, 10.5e-3), normals, address=np.arange(64, dtype=np.int32))
 
 
 def autd_board() -> Array:
-    """An AUTD unit. The origin is the centre of the 18 x 14 sites, not the centroid of the 249 transducers."""
+    """Return an AUTD unit. The origin is the centre of the 18 x 14 sites, not the centroid of the 249 transducers."""
     sites = lattice(AUTD_COLUMNS, AUTD_ROWS, AUTD_PITCH_M)
     missing = [AUTD_COLUMNS * row + column for column, row in AUTD_MISSING]
     positions = np.delete(sites, missing, axis=0)
@@ -172,7 +172,7 @@ def autd3() -> Array:
 
 
 def autd3_units(columns: int, rows: int) -> Array:
-    """Units edge to edge, not rotated, by rows from low y, x fastest."""
+    """Return the units edge to edge, not rotated, by rows from low y, x fastest."""
     width, height = AUTD_BOARD_M
     places = [(column * width, row * height, 0.0) for row in range(rows) for column in range(columns)]
     return centred(combined([placed(autd3(), place, np.eye(3)) for place in places], f"autd3_{columns}x{rows}"))

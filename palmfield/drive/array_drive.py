@@ -226,13 +226,13 @@ class ArrayDrive:
         return np.asarray(np.exp(-1j * self.wavenumber * np.sqrt(np.einsum("ijk,ijk->ij", offsets, offsets))))
 
     def flight_times(self, focus: Float) -> Float:
-        """Flight time from each chosen transducer to a point [s], shape (n,)."""
+        """Return the flight time from each chosen transducer to a point [s], shape (n,)."""
         return np.asarray(self._rays(*focus)[0] / self.sound_speed)
 
     # -- one focus ---------------------------------------------------------------------------------------------------
 
     def _rays(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:
-        """Distance [m] from each transducer to a point, and the point's height over its face [m].
+        """Return the distance [m] from each transducer to a point, and the point's height over its face [m].
 
         x, y, z: of the points [m], numbers, or shapes that broadcast to (k, n) with the transducers
         """
@@ -248,7 +248,7 @@ class ArrayDrive:
         return np.sqrt(distances, out=distances), dx
 
     def _waves(self, distances: Float) -> Complex:
-        """exp(-i k d), of the distances' shape."""
+        """Return exp(-i k d), of the distances' shape."""
         turns: Float = -self.wavenumber * distances
         waves = np.empty(turns.shape, np.complex128)
         np.cos(turns, out=waves.real)
@@ -271,7 +271,7 @@ class ArrayDrive:
     # -- its level ---------------------------------------------------------------------------------------------------
 
     def _levels_at(self, foci: Float, audible: Bool | None) -> Float:
-        """`_levels` for foci of shape (k, d, 3); silent ones get 0. Shape (k, d)."""
+        """Return `_levels` for foci of shape (k, d, 3); silent ones get 0. Shape (k, d)."""
         if audible is None:
             return self._levels(foci.reshape(-1, 3)).reshape(foci.shape[:2])
         levels = np.zeros(foci.shape[:2])
@@ -279,7 +279,7 @@ class ArrayDrive:
         return levels
 
     def _levels(self, foci: Float) -> Float:
-        """Level at which single foci [m], shape (q, 3), have the target ARP, shape (q,).
+        """Return the level at which single foci [m], shape (q, 3), have the target ARP, shape (q,).
 
         At its focus the sound of all transducers that face it is in phase, except for their gains.
         """
@@ -366,7 +366,7 @@ class ArrayDrive:
             solve_foci(foci, only(array, facing) if np.any(facing) else array, self.array.air, iterations=0)
 
     def _transfer(self, distances: Float, heights: Float) -> Complex:
-        """Pressure at points [Pa] of each chosen transducer alone at full drive; all of shape (m, n)."""
+        """Return the pressure at points [Pa] of each chosen transducer alone at full drive; all of shape (m, n)."""
         far = np.maximum(distances, 1e-9)
         cosines = heights / far
         waves = self._waves(distances).conj()
@@ -383,7 +383,7 @@ class ArrayDrive:
         return float(self._reached(np.array([full]), foci[None])[0])
 
     def _one_by_one(self, points: Float, focal_points: FocalPoints, group: Int | None, audible: Bool | None) -> Complex:
-        """`unit_drives` for drives that must be computed point by point; equal points are computed once."""
+        """Return `unit_drives` for drives that must be computed point by point; equal points are computed once."""
         rows, columns = points.shape[:2]
         drives = np.zeros((rows, self.count), np.complex128)
         columns_of = [slice(None)] if group is None else [(group == j).nonzero()[0] for j in range(columns)]

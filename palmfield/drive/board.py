@@ -36,7 +36,7 @@ class Line:
 
 
 def serial_line(baud: int) -> Line:
-    """A serial port with a start bit, 8 data bits and a stop bit."""
+    """Return a serial port with a start bit, 8 data bits and a stop bit."""
     return Line(baud / 10.0, baud)
 
 
@@ -95,7 +95,7 @@ class Twin(ABC):
 
     @abstractmethod
     def take(self, data: bytes) -> list[Emitted]:
-        """`feed` of consecutive bytes; advances `time_s`."""
+        """Do `feed` for consecutive bytes; advances `time_s`."""
 
     def until(self, time_s: float) -> list[Emitted]:
         """Return changes without bytes up to a time [s]: delayed frames, a watchdog."""

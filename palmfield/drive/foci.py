@@ -99,7 +99,7 @@ class Foci:
 
 
 def transfer64(points: ArrayLike, array: Array, air: Air) -> Complex:
-    """Complex peak pressure [Pa] at each point from each transducer alone at full drive, in float64.
+    """Return the complex peak pressure [Pa] at each point from each transducer alone at full drive, in float64.
 
     transfer64(points, array, air) @ drive is pressure64(points, array, drive, air) to rounding: the same formula, with
     the array's gain, directivity and the air's absorption, but not summed.
@@ -211,7 +211,7 @@ def solve_transfer(
 
 
 def together(transfer: Complex, pressures: Float | None = None) -> Complex:
-    """Drive by "gsw" for simultaneous foci, shape (n,), as `solve_transfer` without its checks.
+    """Return the drive by "gsw" for simultaneous foci, shape (n,), as `solve_transfer` without its checks.
 
     transfer: complex pressure from each transducer at full drive [Pa], shape (m, n), already checked
     pressures: targets relative to the others, above 0, shape (m,); None for equally loud foci
@@ -250,7 +250,7 @@ def _targets(amplitudes: ArrayLike | None, count: int) -> Float:
 
 
 def misfit(pressure: Complex, targets: Float) -> float:
-    """Rms over the foci of |p|/target about its mean, relative to that mean."""
+    """Return the rms over the foci of |p|/target about its mean, relative to that mean."""
     ratio = np.abs(pressure) / targets
     mean = np.add.reduce(ratio) / len(ratio)
     deviation = ratio - mean
@@ -258,12 +258,12 @@ def misfit(pressure: Complex, targets: Float) -> float:
 
 
 def unit(values: Complex) -> Complex:
-    """Phase factors of complex values; 1 for 0."""
+    """Return the phase factors of complex values; 1 for 0."""
     return np.exp(1j * np.arctan2(values.imag, values.real))
 
 
 def reinforcing_phases(matrix: Complex, targets: Float) -> Complex:
-    """Phase factors of the foci under which single foci help each other most, shape (m,) (Long et al. 2014).
+    """Return the phase factors of the foci under which single foci help each other most, shape (m,) (Long et al. 2014).
 
     Row i, column k of G W is the pressure at focus i of the single focus that on its own makes target k at k, with
     G = H H* and W = diag(target_k/G_kk); its dominant eigenvector is found from the Hermitian form of the same problem.
@@ -274,7 +274,7 @@ def reinforcing_phases(matrix: Complex, targets: Float) -> Complex:
 
 
 def leading_vector(matrix: Complex, targets: Float) -> Complex:
-    """The eigenvector of `reinforcing_phases`, shape (m,), of norm 1: it jumps where two eigenvalues cross."""
+    """Return the eigenvector of `reinforcing_phases`, shape (m,), of norm 1: it jumps where two eigenvalues cross."""
     half = np.sqrt(targets / np.add.reduce(np.abs(matrix) ** 2, axis=1))
     scaled = matrix * half[:, None]
     leading: Complex = np.linalg.eigh(scaled @ scaled.conj().T)[1][:, -1]
@@ -282,7 +282,7 @@ def leading_vector(matrix: Complex, targets: Float) -> Complex:
 
 
 def superposed(matrix: Complex, targets: Float, phases: Complex) -> tuple[Complex, Float]:
-    """Sum of the single foci with amplitude set to 1, shape (n,), and their weights, shape (m,)."""
+    """Return the sum of the single foci with amplitude set to 1, shape (n,), and their weights, shape (m,)."""
     weights = targets / np.add.reduce(np.abs(matrix) ** 2, axis=1)
     return unit(matrix.conj().T @ (weights * phases)), weights
 
@@ -320,7 +320,7 @@ def _gerchberg_saxon(
 
 
 def soft_minimum(phases: Float, matrix: Complex, sharpness: float) -> tuple[float, Float]:
-    """Minus the soft minimum of |H exp(i phases)| over the foci, and its gradient by the phases, shape (n,).
+    """Return minus the soft minimum of |H exp(i phases)| over the foci, and its gradient by the phases, shape (n,).
 
     softmin(q) = -logsumexp(-s q)/s, with s the sharpness. matrix: rows already divided by their reference.
     """

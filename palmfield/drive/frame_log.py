@@ -175,7 +175,7 @@ def _pieces(lines: list[str]) -> Iterator[Piece]:
 
 
 def is_log(path: str | Path) -> bool:
-    """Whether a file begins like a log."""
+    """Return whether a file begins like a log."""
     try:
         with regular(path).open("rb") as file:
             return file.read(16).startswith(b'{"palmfield_log"')

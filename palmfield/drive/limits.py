@@ -32,7 +32,7 @@ class SoundLimits:
         return 0.5 - 0.5 * math.cos(math.pi * min(1.0, max(0.0, inside)))
 
     def share(self, board: Board, time_s: float, duration_s: float) -> float:
-        """`level_at` rounded to the levels of the board: 1 for boards without levels and for board ideal."""
+        """Return `level_at` rounded to the levels of the board: 1 for boards without levels and for board ideal."""
         return self.level_at(time_s, duration_s) if board.levels and not board.exact else 1.0
 
     def ramp_times(self, board: Board, duration_s: float) -> list[float]:

@@ -50,7 +50,7 @@ class PathMemory(NamedTuple):
 
     @staticmethod
     def inputs(moments: int, foci: int, transducers: int, worlds: int = 1) -> dict[str, tuple[tuple[int, ...], Any]]:
-        """Shapes and types of the input, for a `SharedBlock`; moments, foci: their largest numbers."""
+        """Return the shapes and types of the input, for a `SharedBlock`; moments, foci: their largest numbers."""
         return {
             "path_counts": ((worlds, 2), wp.int32),
             "path_group": ((worlds, transducers), wp.int32),
@@ -64,7 +64,7 @@ class PathMemory(NamedTuple):
 
     @staticmethod
     def results(foci: int, transducers: int, worlds: int = 1) -> dict[str, tuple[tuple[int, ...], Any]]:
-        """Shapes and types of the output."""
+        """Return the shapes and types of the output."""
         return {"path_end": ((worlds, transducers), wp.vec2d), "path_totals": ((worlds, foci), wp.vec3d)}
 
 
@@ -107,7 +107,7 @@ class PathDrives:
         self._facing.put(drive.normals.T)
 
     def calls(self, memory: PathMemory) -> Calls:
-        """Launches that fill the tables of drives."""
+        """Return the launches that fill the tables of drives."""
         (worlds, foci), device = memory.foci.shape, self._device
         whole, parts = (worlds, foci, self.count), (worlds, foci, kernels.LANES)
         waves, strengths = (wp.zeros(whole, dtype=wp.vec2d, device=device) for _ in range(2))
@@ -140,7 +140,7 @@ class PathDrives:
         return weights[weights > 0.0] if self.rings else np.ones(1)
 
     def ring(self, moments: Moments) -> Complex:
-        """Weights of the pole for each moment, shape (m, 5), see `warp_kernels.path_drives.ring_along`."""
+        """Return the weights of the pole for each moment, shape (m, 5), see `warp_kernels.path_drives.ring_along`."""
         pole = self._pole
         if pole is None:
             return np.zeros((1, 5), np.complex128)
@@ -187,6 +187,6 @@ KEPT = 64
 
 
 def _pairs(values: Any, device: str) -> Any:
-    """Complex numbers as vec2d."""
+    """Return the complex numbers as vec2d."""
     pairs = np.ascontiguousarray(values, np.complex128).view(np.float64).reshape(-1, 2)
     return wp.array(pairs, dtype=wp.vec2d, device=device)

@@ -23,7 +23,7 @@ EDGE_TURNS: dict[Edge, float] = {"leading": 0.5, "trailing": -0.5, "centre": 0.0
 
 
 def widths(amplitude: ArrayLike, ticks: int, exponent: float = 2.0) -> Int:
-    """Pulse width in ticks, round(ticks d(amplitude)), shape of amplitude, int32; 0 to ticks/2.
+    """Return the pulse width in ticks, round(ticks d(amplitude)), shape of amplitude, int32; 0 to ticks/2.
 
     AUTD3 has ticks = 512 and amplitude = i/255 for an intensity byte i. Raises DeviceError as `duty_cycle`, and for an
     odd number of ticks or less than 2.
@@ -34,7 +34,7 @@ def widths(amplitude: ArrayLike, ticks: int, exponent: float = 2.0) -> Int:
 
 
 def edge_phase(duty: ArrayLike, fixed: Edge) -> Float:
-    """Phase of the first harmonic [rad] (later is positive) relative to a pulse about time 0.
+    """Return the phase of the first harmonic [rad] (later is positive) relative to a pulse about time 0.
 
     With the leading edge at time 0 the pulse's middle is pi d later; with the trailing edge, pi d earlier.
     So the phase of a drive with a fixed edge changes with its amplitude.

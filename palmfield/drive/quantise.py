@@ -11,7 +11,7 @@ FULL = 1.0 + 1e-9
 
 
 def phase_codes(drive: ArrayLike, steps: int) -> Int:
-    """Nearest of `steps` equal phase steps, round(steps arg(a)/2 pi) mod steps, shape of drive, int32.
+    """Return the nearest of `steps` equal phase steps, round(steps arg(a)/2 pi) mod steps, shape of drive, int32.
 
     Rounded, never floored: a focus gives phases such as -1e-17, which a floor would turn into steps - 1.
     A larger code is a later wave (e^{-iwt}). Raises DeviceError for a drive that is not finite and for steps < 1.
@@ -22,7 +22,7 @@ def phase_codes(drive: ArrayLike, steps: int) -> Int:
 
 
 def amplitude_codes(drive: ArrayLike, steps: int) -> Int:
-    """Nearest of the levels 0, 1/steps, ..., 1 of |a|, as 0..steps, shape of drive, int32.
+    """Return the nearest of the levels 0, 1/steps, ..., 1 of |a|, as 0..steps, shape of drive, int32.
 
     One step is off or full, 255 is 8 bits. Raises DeviceError for |a| > 1 or not finite, and for steps < 1.
     """
@@ -49,7 +49,7 @@ def quantise(drive: ArrayLike, *, phase_steps: int | None = None, amplitude_step
 
 
 def phase_loss(steps: int) -> float:
-    """Expected focal pressure with rounded phases over that without: sin(pi/N)/(pi/N) for N steps.
+    """Return the expected focal pressure with rounded phases over that without: sin(pi/N)/(pi/N) for N steps.
 
     It is the mean of cos over an error distributed uniformly over +-pi/N, a good model for the phases of a focus. The
     rest of the sound is scattered. Raises DeviceError for steps < 1.

@@ -58,7 +58,7 @@ class Pole:
 
 
 def envelope_response(frequency_Hz: ArrayLike, pole: Pole) -> Complex:
-    """a/u for an envelope e^{-2 pi i f t}: g/(g - i(D + 2 pi f)), shape (..., n) for frequencies of shape (...).
+    """Return a/u for an envelope e^{-2 pi i f t}: g/(g - i(D + 2 pi f)), shape (..., n) for frequencies of shape (...).
 
     Positive and negative f are the two sidebands; f = 0 is the steady state, 1 at resonance. p0 of an array is that of
     transducers at resonance; where it was measured at the carrier on detuned ones, divide drives by the response at 0.
@@ -70,7 +70,7 @@ def envelope_response(frequency_Hz: ArrayLike, pole: Pole) -> Complex:
 def filter_frames(
     drives: ArrayLike, dt: float, pole: Pole, *, linear: bool = False, initial: ArrayLike | None = None
 ) -> Complex:
-    """Emission of the transducers at the frames' times, exact to rounding for any dt.
+    """Return the emission of the transducers at the frames' times, exact to rounding for any dt.
 
     drives: complex amplitudes, shape (frames, n). Held: frame k holds from k dt to (k+1) dt. Linear: it is the value at
         k dt, with straight lines between

@@ -44,7 +44,7 @@ class ResponseError:
 
 
 def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float]]:
-    """Time intervals [s] that contain all phases of a stimulus: start and ramp, one period, stop.
+    """Return the time intervals [s] that contain all phases of a stimulus: start and ramp, one period, stop.
 
     delay_s: of the transducers; ringing needs a window of several of these
     """
@@ -71,7 +71,7 @@ def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float
 
 
 def shares(emitted: Complex, gain: Complex | None, distances: Float) -> Float:
-    """Share of each transducer in the pressure at a focus, shape (n,).
+    """Return the share of each transducer in the pressure at a focus, shape (n,).
 
     emitted: its amplitude, shape (n,); gain: see Array, of the same transducers; distances: to the focus [m]
     """
@@ -160,7 +160,7 @@ def changes_of_motion(
 
 
 def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -> tuple[Float, Float]:
-    """Errors of the pressure at a stationary focus over time, shapes (k,), relative to full level.
+    """Return the errors of the pressure at a stationary focus over time, shapes (k,), relative to full level.
 
     There the transducers differ only by their poles, and their sounds add up.
     levels: of the drive, shape (k,); weights, z (rate times step), delays (in steps), shapes (n,)
@@ -209,13 +209,13 @@ def _oscillation(load: Float, angle: float) -> Float:
 
 
 def _recursion(rows: Sequence[complex], loads: Complex | Float) -> Complex:
-    """x of rows[0] x[n] + rows[1] x[n-1] + ... = loads[n], with zeros before: a banded system."""
+    """Return x of rows[0] x[n] + rows[1] x[n-1] + ... = loads[n], with zeros before: a banded system."""
     bands = np.tile(np.array(rows)[:, None], len(loads))
     return np.asarray(scipy.linalg.solve_banded((len(rows) - 1, 0), bands, loads, check_finite=False))
 
 
 def _rung(drive: Complex, z: complex) -> Complex:
-    """Emission of a pole in the middle of each sample for a drive held over it; initially settled. Exact."""
+    """Return the emission of a pole in the middle of each sample for a drive held over it; initially settled. Exact."""
     half = np.exp(-0.5 * z)
     loads = (1.0 - half**2) * drive
     loads[0] += half**2 * drive[0]
@@ -229,7 +229,7 @@ def _later(drive: Complex | Float, lag: int) -> Complex | Float:
 
 
 def _some(delays: Float, most: int) -> Int:
-    """Numbers of all transducers, or of some of them, evenly from the nearest to the farthest."""
+    """Return the numbers of all transducers, or of some of them, evenly from the nearest to the farthest."""
     order = np.argsort(delays)
     return order[np.linspace(0, len(order) - 1, min(most, len(order))).round().astype(int)].astype(np.int32)
 

@@ -129,7 +129,7 @@ def transducer_response(
 
 
 def flight_delays(drive: ArrayDrive, focus: Float) -> Float:
-    """Flight time from each transducer to a focus against the middle, in whole DELAY_STEP_S [s], shape (N,).
+    """Return the flight time from each transducer to a focus against the middle, in whole DELAY_STEP_S [s], shape (N,).
 
     Of several foci, shape (m, 3), the first one counts. Transducers that are not chosen get 0.
     """
@@ -162,7 +162,7 @@ def commanded_drive(
 
 
 def _points_and_levels(stimulus: StimulusConfig, times: Float, lags: Float) -> tuple[Float, Float]:
-    """The stimulus's points and the pressure's levels at times less lags, shapes (k, d, 3) and (k, d)."""
+    """Return the stimulus's points and the pressure's levels at times less lags, shapes (k, d, 3) and (k, d)."""
     when = times[:, None] - lags
     points, factors = frames_at(stimulus, when.reshape(-1))
     return points.reshape(*when.shape, 3), np.sqrt(factors, out=factors).reshape(when.shape)
@@ -171,7 +171,7 @@ def _points_and_levels(stimulus: StimulusConfig, times: Float, lags: Float) -> t
 def _commanded(
     drive: ArrayDrive, points: Float, levels: Float, group: Int | None, focal_points: FocalPoints
 ) -> Complex:
-    """Unit drives times levels, each transducer by its group, shape (k, N)."""
+    """Return the unit drives times levels, each transducer by its group, shape (k, N)."""
     audible = levels > 0.0
     if not np.logical_or.reduce(audible, axis=None):
         return np.zeros((len(points), drive.count), np.complex128)
@@ -294,7 +294,7 @@ def of_drives(drives: Complex, end: Complex) -> EmittedCourse:
 
 @lru_cache(maxsize=64)
 def _identity(size: int) -> Complex:
-    """Levels for one drive a moment, read-only, shape (m, m)."""
+    """Return the levels for one drive a moment, read-only, shape (m, m)."""
     identity = np.eye(size, dtype=np.complex128)
     identity.flags.writeable = False
     return identity
@@ -343,7 +343,7 @@ def emitted_over(
 
 
 def _own(emitted: Complex, drive: ArrayDrive) -> Complex:
-    """Emission of the chosen transducers, 0 for all others."""
+    """Return the emission of the chosen transducers, 0 for all others."""
     own = np.zeros(emitted.shape, np.complex128)
     own[drive.chosen] = emitted[drive.chosen]
     return own
@@ -357,7 +357,7 @@ def _of_one_unit(
     emitted: Complex,
     moments: Moments,
 ) -> EmittedCourse:
-    """`emitted_over` for one focus with varying level; levels: of the drive, shape (m, d)."""
+    """Return `emitted_over` for one focus with varying level; levels: of the drive, shape (m, d)."""
     if not response.on:
         return of_unit(unit, levels[:, 0], emitted)
     if group is None and response.stepper.alike:
@@ -448,7 +448,7 @@ def combined(courses: Sequence[EmittedCourse]) -> EmittedCourse:
 
 
 def rows(course: EmittedCourse) -> Complex:
-    """Amplitudes at each moment, shape (m, N)."""
+    """Return the amplitudes at each moment, shape (m, N)."""
     if len(course.units) == len(course.levels) > 1:
         return course.units
     return np.asarray(course.levels @ course.units)

@@ -69,7 +69,7 @@ class Retargeted:
         self.span_s = curve.span_s
 
     def __call__(self, time_s: float) -> HandPose:
-        """The pose at a time [s]."""
+        """Return the pose at a time [s]."""
         return self._curve(time_s)
 
 
@@ -160,7 +160,7 @@ class Follower:
         return Followed(place, quaternion, self._before, tip_misses, palm_misses)
 
     def at_limit(self, angles: Float) -> float:
-        """Share of angles, shape (frames, joints), within 0.01 degrees of an end of their range."""
+        """Return the share of angles, shape (frames, joints), within 0.01 degrees of an end of their range."""
         return self._fit.at_limit(angles)
 
 
@@ -307,7 +307,7 @@ class _Fit:
         return self._all(x), tips
 
     def at_limit(self, angles: Float) -> float:
-        """Share of angles, shape (frames, joints), within 0.01 degrees of an end of their range."""
+        """Return the share of angles, shape (frames, joints), within 0.01 degrees of an end of their range."""
         x = angles[:, self._moving]
         return float(np.mean((x < self._low + 0.01) | (x > self._high - 0.01)))
 

@@ -13,7 +13,7 @@ from palmfield.skin.materials.sheet import Sheet
 
 
 def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:
-    """Sheets from the surface down; thicknesses are shares of the depth of the layer."""
+    """Return the sheets from the surface down; thicknesses are shares of the depth of the layer."""
     if not skin.materials:
         return (Sheet(material_of(skin), 1.0),)
     return tuple(Sheet(preset(name), share) for name, share in zip(skin.materials, skin.shares, strict=True))
@@ -42,7 +42,7 @@ def softest_and_stiffest_sheets(skin: SkinConfig) -> tuple[tuple[Sheet, ...], tu
 
 
 def slowest(sheets: tuple[Sheet, ...], f_Hz: float) -> Material:
-    """The material with the slowest shear wave at a frequency [Hz]: it needs the smallest elements."""
+    """Return the material with the slowest shear wave at a frequency [Hz]: it needs the smallest elements."""
     return min((sheet.material for sheet in sheets), key=lambda material: shear_wave(material, f_Hz)[0])
 
 
@@ -56,7 +56,7 @@ def quarter_periods(sheets: tuple[Sheet, ...], depth_m: float, f_Hz: float) -> f
 
 
 def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
-    """Frequency at which `quarter_periods` of a layer of this depth [m] is 1 [Hz]; c_s / 4h of one material
+    """Return the frequency at which `quarter_periods` of a layer of this depth [m] is 1 [Hz]; c_s / 4h of one material
     (`palmfield.skin.materials.dispersion.cutoff`).
     """
     from palmfield.skin.materials.dispersion import cutoff
@@ -78,20 +78,20 @@ def cutoff_Hz(skin: SkinConfig, sheets: tuple[Sheet, ...], depth_m: float) -> fl
 
 
 def sheets_in_words(sheets: tuple[Sheet, ...]) -> str:
-    """Names of the materials from the surface down, with their shares where there are several."""
+    """Return the names of the materials from the surface down, with their shares where there are several."""
     if len(sheets) == 1:
         return sheets[0].material.name
     return ", ".join(f"{100 * sheet.thickness_m:.3g} % {sheet.material.name}" for sheet in sheets)
 
 
 def base_of(skin: SkinConfig) -> BaseKind | Springs:
-    """The base of the layer in the form of `palmfield.skin.fem.assembly.assemble`."""
+    """Return the base of the layer in the form of `palmfield.skin.fem.assembly.assemble`."""
     base = skin.base
     return Springs(*(skin.springs or ())) if base == "springs" else base
 
 
 def material_of(skin: SkinConfig) -> Material:
-    """The preset, with the keys of the scene that override it."""
+    """Return the preset, with the keys of the scene that override it."""
     changed = {key: getattr(skin, key) for key in OVERRIDES if getattr(skin, key) is not None}
     base = preset(skin.material)
     if not changed:

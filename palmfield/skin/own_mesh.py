@@ -1,6 +1,5 @@
-"""Common code of solvers with their own mesh below the face of a scene's layer, and of their steppers.
-
-Body, loads and operators are those of the scene's wedges.
+"""Common code of solvers with their own mesh below the face of the layer of a scene, and of their steppers. Body, loads
+and operators are those of the wedges of the scene.
 """
 
 import functools
@@ -144,12 +143,12 @@ class OwnMesh(ExplicitLayer, Protocol):
         return load, spot.times_s[1:], np.stack([points[np.argmin(away)], flank])
 
     def _spot(self, periods: float, f_Hz: float) -> Spot:
-        """A spot in the middle of the layer whose pressure oscillates between 0 and 1 Pa."""
+        """Return a spot in the middle of the layer whose pressure oscillates between 0 and 1 Pa."""
         times = np.linspace(0.0, periods / f_Hz, math.ceil(SAMPLES * periods) + 1)
         return Spot(self.layer.demand.spot_fwhm_m, times, np.sin(math.pi * f_Hz * times) ** 2, self._middle()[:2])
 
     def _middle(self) -> Float:
-        """The middle of the layer on its face, body frame [m], shape (3,)."""
+        """Return the middle of the layer on its face, body frame [m], shape (3,)."""
         if self.layer.config.shape == "disc":
             return np.zeros(3)
         vertices = self.layer.patch.vertices

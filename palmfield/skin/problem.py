@@ -108,7 +108,7 @@ class Layer:
 
 
 def depth_of(body: "Slab | Layer") -> float:
-    """Thickness of a slab, median depth of a layer [m]."""
+    """Return the thickness of a slab, or the median depth of a layer [m]."""
     return float(np.median(body.patch.depth)) if isinstance(body, Layer) else body.thickness_m
 
 
@@ -162,7 +162,7 @@ class Spot:
         check_finite("spot: centre_m", self.centre_m, (2,) if still else (count, 2))
 
     def centres(self) -> Float:
-        """Centre at each time, shape (f, 2)."""
+        """Return the centre at each time, shape (f, 2)."""
         return np.broadcast_to(np.asarray(self.centre_m, dtype=float), (len(self.times_s), 2))
 
 
@@ -287,7 +287,7 @@ class SkinProblem:
         """Make the Motion from a solver's result, shape (t, n, 3).
 
         errors: of the QUANTITIES, (3,); source, solver: in words; begun: time.perf_counter() as it began
-        points: where, if not at `points` [m], shape (n, 3)
+        points: positions, if other than `points` [m], shape (n, 3)
         """
         return Motion(
             times_s=self.times,
@@ -364,7 +364,7 @@ def in_space(at: ArrayLike) -> Float:
 
 
 def lifted(patch: Patch, places: Float) -> Float:
-    """The points of the face over or under places of the plane [m], (n, 2): shape (n, 3)."""
+    """Return the points of the face over or under places of the plane [m], (n, 2): shape (n, 3)."""
     from palmfield.hand.meshquery import over_plane
 
     corners, weights = over_plane(patch.vertices[:, :2], patch.faces, places)
@@ -405,7 +405,7 @@ def points_on_face(body: Body, at: ArrayLike) -> Float:
 
 
 def spread(fwhm_m: float) -> float:
-    """Standard deviation of a Gaussian of that full width at half maximum [m]."""
+    """Return the standard deviation of a Gaussian of that full width at half maximum [m]."""
     return fwhm_m / math.sqrt(2.0 * GAUSSIAN)
 
 

@@ -89,7 +89,7 @@ def layer_sizes(
     resizing: float = 1.0,
     rows: int | None = None,
 ) -> LayerSizes:
-    """Sizes of the layer of a scene for its target accuracy; see LayerDemand.
+    """Return the sizes of the layer of a scene for its target accuracy; see LayerDemand.
 
     sheets: of the layer, thicknesses as shares. resizing: factor of all element sizes. rows: of elements in depth, by
         default the number for these sizes.
@@ -159,14 +159,14 @@ class SceneLayer:
         self.lock = threading.RLock()
 
     def resized(self, factor: float, rows: int | None = None) -> "SceneLayer":
-        """The same layer with elements of `factor` times the chosen size, and perhaps another number of rows."""
+        """Return the layer with elements of `factor` times the chosen size, perhaps other rows."""
         return SceneLayer(
             self.config, self.surface, self.depth_m, self.centre_m, self.demand,
             resizing=factor, rows=rows, named=self.named,
         )  # fmt: skip
 
     def altered(self, *, side: Side | None = None, sheets: tuple[Sheet, ...] | None = None) -> "SceneLayer":
-        """The same layer on elements of the same size, with other cut faces or materials."""
+        """Return the layer with the same elements and other cut faces or materials."""
         config = self.config if side is None else self.config.model_copy(update={"side": side})
         return SceneLayer(
             config, self.surface, self.depth_m, self.centre_m, self.demand,

@@ -107,7 +107,7 @@ def choices(
     accuracy_of: Quantity = "displacement",
     device: str = "auto",
 ) -> list[Choice]:
-    """Predictions of all solvers for a problem, the cheapest first; arguments as for `solve`."""
+    """Return the predictions of all solvers for a problem, the cheapest first; arguments as for `solve`."""
     problem = checked(body, load, times, at, accuracy, accuracy_of, device)
     return ranking(truncated(problem)[0])
 
@@ -151,7 +151,7 @@ def solve(
     whole: bool = False,
     **resolution: Any,
 ) -> Motion:
-    """Motion of skin under a load, with an estimate of its error.
+    """Return the motion of skin under a load, with an estimate of its error.
 
     body: Slab or Layer. load: Spot or Traction (palmfield.skin.problem); the body is at rest before the load begins.
     times: requested times [s], rising, shape (t,). at: points on the face [m], shape (n, 2) or (n, 3).
@@ -290,7 +290,7 @@ def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> 
 
 
 def at_rest(problem: SkinProblem) -> Motion:
-    """The motion of a body without a load."""
+    """Return the motion of a body without a load."""
     still = np.zeros((len(problem.times), len(problem.points), 3))
     return problem.solved(
         still, still.copy(), np.zeros(3), "no load: the motion is 0", "none needed", time.perf_counter()
@@ -346,7 +346,7 @@ def checked(
 
 
 def truncated(problem: SkinProblem) -> tuple[SkinProblem, float]:
-    """The problem without the part beyond the reach of load and points, and the error of leaving it out."""
+    """Return the problem without the part of the body that hardly affects the points, and the error of omitting it."""
     body, load, cut = truncate_domain(
         problem.body, problem.load, float(problem.times[-1]), problem.at, problem.accuracy
     )

@@ -147,11 +147,11 @@ class SkinStepper(Protocol):
         return None
 
     def read(self, state: Float, reader: Reader) -> Float:
-        """Displacement [m] and velocity [m/s] through a reader, shape (w, 2, m)."""
+        """Return the displacement [m] and velocity [m/s] through a reader, shape (w, 2, m)."""
         ...
 
     def describe(self) -> str:
-        """Description in words, for the summary of a run."""
+        """Return the description in words, for the summary of a run."""
         return self.name
 
     def device_model(self, substeps: int, points: int, device: str) -> "DeviceModel | None":
@@ -163,7 +163,7 @@ class SkinStepper(Protocol):
         return None
 
     def work(self, patterns: int, substeps: int) -> StepWork | None:
-        """Work of substeps under some patterns of pressure at its points, None where they are no dense products."""
+        """Return the work of substeps for some patterns of pressure at its points, or None without dense products."""
         return None
 
     def outside(self, loads: SurfaceLoads) -> Outside:
@@ -205,11 +205,11 @@ class DeviceModel(Protocol):
     def weight_rows(self) -> int: ...
 
     def weights(self, first: Float, last: Float) -> Float:
-        """Weights of the patterns in the form of the launches, from those of SurfaceLoads, shape (s, m)."""
+        """Return the weights of the patterns in the form of the kernels, from those of SurfaceLoads, shape (s, m)."""
         ...
 
     def calls(self, memory: StepMemory) -> Calls:
-        """Launches that do all substeps."""
+        """Return the launches that do all substeps."""
         ...
 
     def outside(self, sums: Sequence[Any]) -> Outside | None:
@@ -250,7 +250,7 @@ def check_step(
 def world_by_world(
     stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None
 ) -> Float | None:
-    """`SkinStepper.step` of several worlds, one after the other, for a stepper whose arrays are those of one."""
+    """Return `SkinStepper.step` of several worlds, one after the other, for a stepper whose arrays are those of one."""
     records = []
     for world in range(len(state)):
         one = slice(world, world + 1)
@@ -260,7 +260,7 @@ def world_by_world(
 
 
 def checked_operator(operator: sparse.csr_matrix, unknowns: int) -> sparse.csr_matrix:
-    """The operator in float64. Raises SceneError unless it is (m, unknowns)."""
+    """Return the operator in float64. Raises SceneError unless it is (m, unknowns)."""
     if operator.ndim != 2 or operator.shape[1] != unknowns:
         raise SceneError(f"skin reader: the operator is {operator.shape}; the layer has {unknowns} unknowns")
     return sparse.csr_matrix(operator, dtype=np.float64)

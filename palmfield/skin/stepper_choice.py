@@ -1,4 +1,4 @@
-"""Choice of a skin's stepper in a scene, by key `solver`, by possible reductions, and by predicted time."""
+"""Choose the stepper of a skin in a scene, by key `solver`, by possible reductions, and by predicted time."""
 
 from typing import NamedTuple
 
@@ -38,7 +38,8 @@ class LayerWork(NamedTuple):
 
 
 def chosen(requested: str, work: LayerWork, reason: str) -> StepperChoice:
-    """The stepper on the wedges of a scene; requested: of key `solver`; asked: why, in words, where that names one.
+    """The stepper on the wedges of a scene; requested: of key `solver`; asked: reason, in words, if the key names a
+    solver.
 
     Raises SceneError where a reduced model or modes are requested but impossible.
     """

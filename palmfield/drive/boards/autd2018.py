@@ -108,7 +108,7 @@ class Autd2018(Board):
         return tuple(numbers)
 
     def encode_focus(self, focus: ArrayLike, level: float) -> bytes:
-        """9 bytes with the default header and footer: 57 payload bits."""
+        """Return 9 bytes with the default header and footer: 57 payload bits."""
         steps = np.rint(np.asarray(focus, float) / self.packet_lsb_m)
         if steps.shape != (3,) or not np.all(np.abs(steps) <= MOST):
             raise DeviceError(
@@ -132,7 +132,7 @@ class Autd2018(Board):
         return layout(LAYOUT_OF_UNITS[self.units]).positions
 
     def unit_delays(self, since_sync_s: float) -> Float:
-        """Delay of each unit [s], shape (units,): hops, skew, and clock drift."""
+        """Return the delay of each unit [s], shape (units,): hops, skew, and clock drift."""
         unit = np.arange(self.units)
         depth = np.array([_depth(number) for number in range(self.units)])
         spread = np.modf(GOLDEN * unit)[0]
@@ -153,7 +153,7 @@ class Autd2018(Board):
 
 
 def _depth(unit: int) -> int:
-    """Hops to a unit of a tree in which each passes packets on to three."""
+    """Return the hops to a unit of a tree in which each passes packets on to three."""
     depth = 0
     while unit > 0:
         unit, depth = (unit - 1) // CHILDREN, depth + 1

@@ -24,13 +24,13 @@ MOST_UNITS = 8
 
 
 def pulse_widths(intensity: ArrayLike) -> NDArray[np.int64]:
-    """Pulse width in ticks of 1/512 of a period for intensity bytes: round(512 asin(i/255) / pi)."""
+    """Return the pulse width in ticks of 1/512 of a period for intensity bytes: round(512 asin(i/255) / pi)."""
     share = np.asarray(intensity, float) / AUTD3_LEVELS
     return np.rint(AUTD3_TICKS * np.arcsin(share) / np.pi).astype(np.int64)
 
 
 def emitted_by(phase: ArrayLike, intensity: ArrayLike) -> Complex:
-    """Complex amplitude of transducers at the carrier relative to full drive; bytes, shapes (n,)."""
+    """Return the complex amplitude of transducers at the carrier relative to full drive; bytes, shapes (n,)."""
     turns: Float = np.asarray(phase, float) / STEPS
     return np.sin(np.pi * pulse_widths(intensity) / AUTD3_TICKS) * np.exp(2j * np.pi * turns)
 

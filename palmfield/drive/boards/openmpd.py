@@ -26,7 +26,7 @@ OFF_FRAME = bytes([FIRST]) + bytes(FRAME_BYTES - 1)
 @dataclass(frozen=True)
 class OpenMpd(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """512 bytes: 256 phases, of which the first has 0x80 added, then 256 pulse widths.
+        """Return 512 bytes: 256 phases, of which the first has 0x80 added, then 256 pulse widths.
 
         A pulse starts at its phase, which is moved so that its middle stays where that of half a period would be.
         """

@@ -49,7 +49,7 @@ def data_bytes(amplitudes: Complex, on: NDArray[np.bool_], lag: Float) -> bytes:
 @dataclass(frozen=True)
 class SonicSurface(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """258 bytes: start, 256 data bytes, swap. Each amplitude is 0 (off) or has magnitude 1 (full drive)."""
+        """Return 258 bytes: start, 256 data bytes, swap. Each amplitude is 0 (off) or has magnitude 1 (full drive)."""
         return bytes([START]) + data_bytes(*switched(self, amplitudes), LAG) + bytes([SWAP])
 
     def twin(self) -> "SonicSurfaceTwin":
@@ -123,7 +123,7 @@ class SonicSurfaceTwin(BufferedTwin):
         return np.where(self._front == OFF, 0.0, wave)
 
     def obey(self, command: int) -> bool | None:
-        """Data and starts for the other board of a pair change nothing."""
+        """Obey a command; data and starts for the other board of a pair change nothing."""
         if command in (STOP_CLOCKS, START_CLOCKS):
             return self._clock(command == START_CLOCKS)
         if command in (PRIMARY, SECONDARY):
@@ -132,7 +132,7 @@ class SonicSurfaceTwin(BufferedTwin):
         return None if self._selected else False
 
     def _clock(self, runs: bool) -> bool:
-        """Zero while clocks are stopped: pins that are high then are a DC load, without sound."""
+        """Return zero while clocks are stopped: pins that are high then are a DC load, without sound."""
         was, self._clocks = self._clocks, runs
         if runs:
             self.pins_high[:] = False

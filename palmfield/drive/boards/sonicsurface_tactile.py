@@ -33,7 +33,7 @@ CLOSE = 0.01
 
 
 def envelope_Hz(number: int) -> float:
-    """Rate of the envelope that byte 160 + number sets [Hz]."""
+    """Return the rate of the envelope that byte 160 + number sets [Hz]."""
     return ENVELOPE_TOP_HZ / (number + 1)
 
 
@@ -54,7 +54,7 @@ def envelope_byte(frequency_Hz: float) -> int:
 @dataclass(frozen=True)
 class SonicSurfaceTactile(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """258 bytes, as in the primary firmware: data 2 round(16 arg / 2 pi), 32 for off."""
+        """Return 258 bytes, as in the primary firmware: data 2 round(16 arg / 2 pi), 32 for off."""
         values, on = switched(self, amplitudes)
         step = np.rint(STEPS * np.angle(values) / (2 * np.pi)).astype(np.int64) % STEPS
         return bytes([START]) + np.where(on, 2 * step, OFF).astype(np.uint8).tobytes() + bytes([SWAP])

@@ -39,7 +39,7 @@ FULL = TURNS[: DIVISIONS // 2].sum()
 
 
 def waveforms(amplitudes: Complex) -> NDArray[np.uint8]:
-    """Levels of each signal in each division, shape (n, 10): pulses are narrowed about a fixed middle."""
+    """Return the levels of each signal in each division, shape (n, 10): pulses are narrowed about a fixed middle."""
     width = widths(np.minimum(np.abs(amplitudes), 1.0), DIVISIONS)
     slack = 0.5 * (DIVISIONS // 2 - width)
     start = np.rint(DIVISIONS * np.angle(amplitudes) / (2 * np.pi) + slack).astype(np.int64)
@@ -56,7 +56,7 @@ def pattern(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def frame(patterns: NDArray[np.uint8]) -> bytes:
-    """One frame for patterns of all boards, shape (boards, 100)."""
+    """Return one frame for patterns of all boards, shape (boards, 100)."""
     board = np.arange(1, len(patterns) + 1, dtype=np.uint8)[:, None]
     pairs = np.stack([(patterns & 0xF0) | board, ((patterns << 4) & 0xF0) | board], axis=2)
     return pairs.tobytes() + ONE_PERIOD_THEN_AGAIN + bytes([COMMIT, SWITCH])
@@ -65,7 +65,7 @@ def frame(patterns: NDArray[np.uint8]) -> bytes:
 @dataclass(frozen=True)
 class Ultraino(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """Two bytes for each of a board's 100, eight of durations, commit and switch: 210 for one board."""
+        """Return two bytes for each of a board's 100, eight of durations, commit and switch: 210 for one board."""
         levels = waveforms(commanded(self, amplitudes)).reshape(self.units, SIGNALS, DIVISIONS)
         return frame(np.stack([pattern(part) for part in levels]))
 

@@ -148,7 +148,7 @@ class _Model:
         self.extra = 4 * len(places) + 4
 
     def in_front(self) -> bool:
-        """Whether each place is in front of every transducer."""
+        """Return whether each place is in front of every transducer."""
         way = self.places[:, None] - self.array.positions
         return bool((np.einsum("mnj,nj->mn", way, self.array.normals) > 0.0).all())
 
@@ -158,7 +158,7 @@ class _Model:
         return moves, self.speed + float(unknown[-3]) * self.speed_sd, unknown[-2:] * DIRECTIVITY
 
     def speeds(self, unknown: Float) -> Float:
-        """Speed of sound at each reading [m/s], shape (m, n)."""
+        """Return the speed of sound at each reading [m/s], shape (m, n)."""
         drifts = (unknown[3 * len(self.places) : -4] + unknown[-4]) * self.speed_sd
         return self.of(unknown)[1] + drifts[:, None] * self.turn
 
@@ -285,7 +285,7 @@ def _best_factors(pressure: Complex, y: Complex) -> Complex:
 
 
 def _cost(residual: Complex, factor: Complex, unknown: Float, common: float, sigma: float) -> float:
-    """Cost that a step must reduce: unexplained readings, and deviations from the priors."""
+    """Return the cost that a step must reduce: unexplained readings, and deviations from the priors."""
     delays = np.where(_alive(factor), 0.5 * np.sin(2.0 * (np.angle(factor) - common)) / DELAYS_RAD, 0.0)
     return float((np.abs(residual) ** 2).sum()) / sigma**2 + float((unknown**2).sum() + (delays**2).sum())
 
@@ -305,7 +305,7 @@ def _normal_equations(
     common: float,
     sigma: float,
 ) -> tuple[Float, Float]:
-    """J'J and J'r over real parts of G, imaginary parts of G, the model's unknowns and the common phase."""
+    """Return J'J and J'r over real parts of G, imaginary parts of G, the model's unknowns and the common phase."""
     count = len(factor)
     size = 2 * count + model.extra + 1
     normal, right = np.zeros((size, size)), np.zeros(size)

@@ -75,7 +75,7 @@ def fit_sweep(
 
 
 def _pole(sound: Complex, f: Float, measured: Complex, start: float) -> tuple[float, float, float]:
-    """Resonance [Hz], quality, and relative rms of the residual, with the best factor for each place."""
+    """Return the resonance [Hz], quality, and relative rms of the residual, with the best factor for each place."""
     scale = np.abs(measured).max(axis=1, keepdims=True)
     places = len(measured)
 

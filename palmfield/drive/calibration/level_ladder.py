@@ -47,6 +47,6 @@ def fit_level(levels: ArrayLike, pressures_Pa: ArrayLike) -> Level:
 
 
 def _line(x: Float, y: Float) -> tuple[float, float, float]:
-    """Slope, its standard error, and offset of a straight line."""
+    """Return the slope, its standard error, and offset of a straight line."""
     (slope, offset), covariance = np.polyfit(x, y, 1, cov=True)
     return float(slope), float(np.sqrt(covariance[0, 0])), float(offset)

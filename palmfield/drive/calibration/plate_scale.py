@@ -108,7 +108,7 @@ def fit_plate(
 
 
 def plate_force(array: Array, air: Air, drive: Complex, size_m: tuple[float, float], distance_m: float) -> float:
-    """Force [N] that pushes a plate at a distance away, by the default law, from a field in float64."""
+    """Return the force [N] that pushes a plate at a distance away, by the default law, from a field in float64."""
     step = sound_speed(air) / array.frequency_Hz / PER_WAVELENGTH
     lines = [_midpoints(size, step) for size in size_m]
     x, y = np.meshgrid(*(line for line, _ in lines), indexing="ij")

@@ -70,7 +70,7 @@ class Measurement:
 def put_elements(
     file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
-    """Transducers one by one: see `fit_elements`."""
+    """Evaluate readings of single transducers, see `fit_elements`."""
     element = _whole(file, columns, "element", len(array))
     _check_version(file, columns, array.name)
     at, place = np.unique(_places(columns), axis=0, return_inverse=True)
@@ -125,7 +125,7 @@ def put_elements(
 def put_level(
     file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
-    """Rising levels: see `fit_level`. Forces are converted to their square roots."""
+    """Evaluate rising levels, see `fit_level`. Forces are converted to their square roots."""
     has = [name for name in ("pressure_Pa", "force_N") if name in columns]
     if len(has) != 1:
         raise SceneError(f"{file}: columns are {', '.join(columns)}; give level and either pressure_Pa or force_N")
@@ -142,7 +142,7 @@ def put_level(
 def put_plate(
     file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
-    """Forces on a plate: see `fit_plate`."""
+    """Evaluate forces on a plate, see `fit_plate`."""
     if under.plate_m is None:
         raise SceneError(f"{file}: the side lengths of the plate are missing; give them (--plate 0.1 0.1, in metres)")
     real = calibrated(array, calibration)
@@ -169,7 +169,7 @@ def put_plate(
 def put_focus(
     file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
-    """Pressures about foci: see `fit_pose`."""
+    """Evaluate pressures around foci, see `fit_pose`."""
     if any(name in columns for name in FOCUS_XYZ):
         commanded = np.column_stack([_column(file, columns, name) for name in FOCUS_XYZ])
     elif under.focus_m is None:
@@ -198,7 +198,7 @@ def put_focus(
 def put_sweep(
     file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
-    """A sweep of the carrier: see `fit_sweep`."""
+    """Evaluate a sweep of the carrier, see `fit_sweep`."""
     at, place = np.unique(_places(columns), axis=0, return_inverse=True)
     f, which = np.unique(columns["frequency_Hz"], return_inverse=True)
     readings = np.full((len(at), len(f)), np.nan, complex)
@@ -222,7 +222,7 @@ def put_sweep(
 def put_warm_up(
     file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
-    """The level since the array was switched on: see `fit_warm_up`."""
+    """Evaluate the level since the array was switched on, see `fit_warm_up`."""
     warm_up = fit_warm_up(columns["time_s"], columns["pressure_Pa"])
     within = warm_up.time_s * max(math.log(abs(warm_up.drop) / 0.01), 0.0)
     report = (

@@ -102,7 +102,7 @@ def _readings(array: Array, truth: Calibration, random: np.random.Generator) -> 
 
 
 def _one_by_one(array: Array, raw: Complex, at: Float, air: Air, random: np.random.Generator) -> Complex:
-    """Pressures of each transducer alone, with an echo from a wall behind the microphone, (places, n)."""
+    """Return the pressures of each transducer alone, with an echo from a wall behind the microphone, (places, n)."""
     wall = 1.2 * float(at[:, 2].max())
     echo = at * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * wall]
     places, one = np.concatenate([at, echo]), np.ones(1, complex)

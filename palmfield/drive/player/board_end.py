@@ -63,7 +63,7 @@ class BoardEnd:
         return port
 
     def free_s(self, now: float) -> float:
-        """Time at which the line is free [s]. Raises PortLost if the port is lost or accepts no bytes."""
+        """Return the time at which the line is free [s]. Raises PortLost if the port is lost or accepts no bytes."""
         self._poll(now)
         if self.line.stuck_s(now) > self.job.lost_s and (self._refused_s is not None or self._on_its_way):
             raise self._stuck()
@@ -156,7 +156,7 @@ class BoardEnd:
     # -- after the port was lost ---------------------------------------------------------------------------------------
 
     def exists(self) -> bool:
-        """Whether the port exists: as a file, or, for ports without a file, as an open connection."""
+        """Return whether the port exists: as a file, or, for ports without a file, as an open connection."""
         port = self.job.port
         return self._port is not None or (not (self.is_url or port.startswith("/dev/pts/")) and os.path.exists(port))
 

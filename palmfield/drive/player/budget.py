@@ -19,7 +19,7 @@ class SoundBudget:
         self._last_s: float | None = None
 
     def allows(self, now_s: float, sounds: bool) -> bool:
-        """Whether there may be sound from now on; sounds: whether there was since the last call."""
+        """Return whether there may be sound from now on; sounds: whether there was since the last call."""
         passed = 0.0 if self._last_s is None else now_s - self._last_s
         self._last_s = now_s
         most = self.duty * self.window_s

@@ -22,7 +22,7 @@ class LineClock:
         self._since_s, self._least_s = -math.inf, math.inf
 
     def free_s(self, now_s: float) -> float:
-        """Time when the last written byte is on the line, or now [s]."""
+        """Return the time when the last written byte is on the line, or now [s]."""
         return max(self._free_s, now_s)
 
     def hand(self, count: int, now_s: float) -> float:
@@ -55,5 +55,5 @@ class LineClock:
         return self._out
 
     def stuck_s(self, now_s: float) -> float:
-        """Time since the last byte was sent, while some wait."""
+        """Return the time since the last byte was sent, while some wait."""
         return now_s - self._moved_s

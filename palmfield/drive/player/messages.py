@@ -115,7 +115,7 @@ class LiveFrame(NamedTuple):
 
 
 def packed(kind: bytes, data: bytes = b"") -> bytes:
-    """One message to the player."""
+    """Return one message to the player."""
     return HEAD.pack(kind, len(data)) + data
 
 

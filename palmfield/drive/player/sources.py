@@ -200,7 +200,7 @@ class LiveSource:
         return self._choice
 
     def _ramped(self, frame: LiveFrame, now_s: float) -> float:
-        """Share of the newest frame's level now, which rises and falls within the ramp's time."""
+        """Return the share of the newest frame's level now, which rises and falls within the ramp's time."""
         sounds = self._gain > 0.0 and frame.level > 0.0
         within = self.budget.allows(now_s, sounds)
         # The age of a frame for a later moment counts from that moment

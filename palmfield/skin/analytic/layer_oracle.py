@@ -31,7 +31,7 @@ def layer_compliance(
     k: lateral wavenumber, >= 0 [rad/m], any shape. f_Hz: frequency, 0 for static [Hz]. thickness_m: layer depth [m].
     base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction) or "free" (no traction).
     Returns complex128 of k's shape, under e^{-i w t}. k = 0 is a column that cannot widen. A static free-slip layer
-    under long waves can: its limit for k -> 0 is another, h (1 - nu^2) / E.
+    under long waves can widen, so its limit for k -> 0 differs: h (1 - nu^2) / E.
     Raises SceneError for an unknown base, a thickness <= 0, a negative frequency, or a free layer, which has no
     support, under static uniform pressure.
     """
@@ -52,7 +52,7 @@ def layer_compliance(
 
 
 def _uniform_compliance(f_Hz: float, material: Material, h: float, base: BaseKind) -> complex:
-    """The k = 0 layer: a one-dimensional compression column."""
+    """Return the k = 0 layer: a one-dimensional compression column."""
     omega = 2.0 * math.pi * f_Hz
     modulus = complex_bulk(material, f_Hz) + 4.0 / 3.0 * complex_shear(material, f_Hz)
     if omega == 0.0:
@@ -79,7 +79,7 @@ def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: 
     beta = np.sqrt(k**2 - ks2 + 0j)
 
     def waves(z: float) -> list[dict[str, Complex]]:
-        """u_x/i, u_z, their z-derivatives and the divergence of P and of (S - P)/(beta - alpha) at depth z."""
+        """Return u_x/i, u_z, their z-derivatives and the divergence of P and of (S - P)/(beta - alpha) at depth z."""
         e = np.exp(-alpha * z)
         delta = -ks2 * (1.0 - ratio) / (alpha + beta)
         d = e * np.divide(np.expm1(-delta * z), delta, out=np.full_like(alpha, -z), where=np.abs(delta) > 1e-200)
@@ -96,7 +96,7 @@ def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: 
         return [p_wave, difference]
 
     def rows(z: float) -> dict[str, Complex]:
-        """Displacement and traction at depth z by the four waves, shape (n, 4)."""
+        """Return the displacement and traction at depth z by the four waves, shape (n, 4)."""
         columns = []
         for sign, depth in ((1.0, z), (-1.0, h - z)):
             for w in waves(depth):
@@ -154,7 +154,7 @@ def centre_response(
 def centre_responses(
     f_Hz: Float, material: Material, thickness: float, fwhm_m: float, at: Float, base: BaseKind, settled: float
 ) -> Complex:
-    """As centre_response without sides, for all pairs of frequencies (f,) and distances (r,): shape (f, r)."""
+    """Return `centre_response` of a layer without sides for all frequencies (f,) and distances (r,), shape (f, r)."""
     spread = fwhm_m / math.sqrt(8.0 * math.log(2.0))
     return _hankel(np.asarray(f_Hz, dtype=float), material, thickness, spread, np.asarray(at), base, settled)
 
@@ -162,7 +162,7 @@ def centre_responses(
 def _hankel(
     f_Hz: Float, material: Material, h: float, spread: float, r: Float, base: BaseKind, settled: float
 ) -> Complex:
-    """u(r) = integral of C(k) s^2 exp(-k^2 s^2 / 2) J0(k r) k dk, by Gauss panels, doubled until they agree."""
+    """Return u(r) = integral of C(k) s^2 exp(-k^2 s^2 / 2) J0(k r) k dk, by Gauss panels, doubled until they agree."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     end = 9.0 / spread
     response = np.zeros((len(f_Hz), len(r)), dtype=complex)

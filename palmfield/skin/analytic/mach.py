@@ -1,4 +1,4 @@
-"""Half-angle of the fronts behind a focus that runs faster than the waves it makes."""
+"""Half-angle of the wave fronts behind a focus that is faster than its waves."""
 
 import numpy as np
 
@@ -11,15 +11,15 @@ STEP_DEG = 0.1
 def mach_half_angle(
     normal_velocity: Float, x: Float, y: Float, skip_m: float, *, between_deg: tuple[float, float] = (20.0, 89.0)
 ) -> float:
-    """Angle [deg] between the wave fronts and the path of a focus that runs along +x on y = 0.
+    """Return the angle [deg] between the wave fronts and the path of a focus that runs along +x on y = 0.
 
     normal_velocity: snapshot at x (m,) and y (n,) [m], shape (m, n), both rising.
     skip_m: half width of the strip that is left out, with the load and its wake; use 1.5 spot widths.
 
     A slant stack (discrete Radon transform): for a trial angle b and each s, take the mean over |y| of the snapshot
     along the lines x + |y| / tan b = s. The result is the b with the largest sum of squares over s, by a parabola
-    through the three best values. Straight fronts of that slope add up there; round ones don't. The sum runs over x:
-    over the distance between the lines it would favour steep ones.
+    through the three best values. Straight fronts of that slope add up there; round ones don't. The sum is over x,
+    because a sum over the distance between the lines would favour steep lines.
     Raises SceneError for shapes that don't fit and where skip_m leaves less than three rows on a side.
     """
     values = np.asarray(normal_velocity, dtype=float)

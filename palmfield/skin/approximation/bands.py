@@ -16,7 +16,7 @@ NEAR = np.linspace(0.85, 1.3, 10)
 """Edges of bands about a resonance, over its frequency: damping moves it up."""
 
 HIGHEST_Hz = 4000.0
-"""Above it skin hardly moves."""
+"""Frequency above which skin hardly moves [Hz]."""
 
 SAMPLES = 1 << 15
 """Samples of the course between its beginning and its end, at most."""
@@ -25,8 +25,8 @@ SAMPLES = 1 << 15
 def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
     """Frequency [Hz] and energy of the load's course from rest to end_s by band, both (b,), bands without any left out.
 
-    The course of a spot is its pressure at the middle of its path, that of a traction its largest point's. It begins
-    at rest and is released at the end, so that jumps count. Near resonance_Hz the bands are finer.
+    The course of a spot is its pressure at the middle of its path; the course of a traction is that of its largest
+    point. It begins at rest and is released at the end, so that jumps count. Near resonance_Hz the bands are finer.
     """
     start = float(load.times_s[0])
     length = max(end_s - start, 1e-6)
@@ -53,13 +53,13 @@ def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
 
 
 def course_moves(load: Load, end_s: float) -> bool:
-    """Whether the load presses at all up to end_s where `bands` looks."""
+    """Return whether the pressure that `bands` evaluates is above 0 at some time up to end_s."""
     times = np.linspace(float(load.times_s[0]), max(end_s, float(load.times_s[0]) + 1e-6), 257)
     return bool(np.any(course_at(load, np.asarray(times, dtype=np.float64)) != 0.0))
 
 
 def resonance(material: Material, depth_m: float) -> float:
-    """Lowest frequency at which a bonded layer guides waves, c_s / 4h [Hz], c_s taken there."""
+    """Return the lowest frequency at which a bonded layer guides waves, c_s / 4h [Hz], c_s taken there."""
     frequency = 200.0
     for _ in range(20):
         frequency = shear_wave(material, frequency)[0] / (4.0 * depth_m)

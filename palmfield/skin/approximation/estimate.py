@@ -1,7 +1,7 @@
 """Sizes of mesh, patch and step for a target accuracy, and the error from two meshes.
 
-The rules are read off the 120 x 20 mm Ecoflex disc with a spot of 10.3 mm, against its exact series (static / 200 Hz
-error of the centre's displacement; shear wavelength 18.7 mm; edges grow 2.5 times from the spot to the rim):
+The rules were fitted to the 120 x 20 mm Ecoflex disc with a spot of 10.3 mm and its exact series (static / 200 Hz error
+of the displacement of the centre; shear wavelength 18.7 mm; edges grow 2.5 times from the spot to the rim):
 
 | edge / spot width | layers | static | 200 Hz |
 |---|---|---|---|
@@ -35,7 +35,7 @@ GROWTH = 1.6
 def choose_sizes(
     material: Material, fwhm_m: float, max_frequency_Hz: float, accuracy: float
 ) -> tuple[float, float, float, Float, float, float]:
-    """Sizes for a relative error of about `accuracy` of the displacement under a spot.
+    """Return the sizes for a relative error of about `accuracy` of the displacement under a spot.
 
     fwhm_m: full width of the pressure spot at half its peak [m]. max_frequency_Hz: highest frequency of the load [Hz].
     accuracy: target relative error, 0.001 to 0.5.

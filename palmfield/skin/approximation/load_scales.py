@@ -18,11 +18,11 @@ MOST = 0.95
 AT_SIDES = 1e-4
 """Pressure at the sides of a body over the peak of the load, above which the sides affect the motion as well."""
 ACROSS = 6.0
-"""Lengths that motion is resolved by, at least, from the middle to the sides then."""
+"""Least number of resolved lengths from the middle to the sides in this case."""
 
 
 def load_width(load: Load) -> float:
-    """Full width at half maximum [m] of the pressure of a load.
+    """Return the full width at half maximum [m] of the pressure of a load.
 
     Of given pressures, that of the Gaussian with the same (int p)^2 / int p^2, the smallest over the times. Raises
     SceneError if there is no pressure.
@@ -91,7 +91,7 @@ def motion_width(body: Body, load: Load) -> float:
 
 
 def load_centre(load: Load) -> tuple[Float, float]:
-    """Middle (2,) of where a load acts and the distance from it to the farthest place of its centre [m]."""
+    """Return the middle (2,) of where a load acts and the distance from it to the farthest place of its centre [m]."""
     if isinstance(load, Spot):
         centres = load.centres()
     else:
@@ -144,7 +144,7 @@ def passing_frequency(load: Load, width_m: float) -> float:
 
 
 def load_frequency(load: Load, speed_m_s: float, width_m: float) -> float:
-    """Highest frequency that a step must resolve [Hz].
+    """Return the highest frequency that a step must resolve [Hz].
 
     The largest of c_s / (pi width), at which a spot let go rings, of passing_frequency, and, where the load is linear
     between more than three times, of course_frequency.

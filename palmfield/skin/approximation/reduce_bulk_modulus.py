@@ -1,4 +1,4 @@
-"""A smaller bulk modulus where it changes little: explicit steps follow the pressure wave, which shear hardly needs."""
+"""Reduce the bulk modulus where this changes little, because the pressure wave limits explicit steps."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,13 +15,13 @@ from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float
 
 RATIOS = (0.49, 0.495, 0.497, 0.499)
-"""Poisson's ratios at once that are tried, the one with the largest step first."""
+"""Instantaneous Poisson's ratios that are tried, the one with the largest step first."""
 
 SHARE = 0.5
-"""Part of the target accuracy that a bulk modulus chosen by itself may take."""
+"""Largest part of the target accuracy for the error of an automatically chosen bulk modulus."""
 
 FAR = 1e-3
-"""Share of the motion in the middle below which motion is judged by that."""
+"""Share of the motion in the middle; smaller motions are related to it."""
 
 FAINT = 1e-5
 """Share of the energy of the load below which a band is ignored here."""
@@ -30,7 +30,8 @@ FAINT = 1e-5
 def reduce_bulk_modulus(
     body: Body, load: Load, end_s: float, at: Float, accuracy: float, nu_at_most: float | None
 ) -> tuple[Body, float]:
-    """The body with Poisson's ratio at once of at most nu_at_most, and the relative change of its motion.
+    """Return the body with an instantaneous Poisson's ratio of at most nu_at_most, and the relative change of its
+    motion.
 
     end_s: last requested time [s]. at: requested points [m], shape (n, 2) or (n, 3).
     nu_at_most: None takes the smallest of RATIOS that changes at most SHARE of the accuracy. That applies to layers and
@@ -69,7 +70,7 @@ def reduce_bulk_modulus(
 
 
 def _tried(body: Body, change_of: Callable[[Material], float], nu: float) -> tuple[Body, float]:
-    """The body with at most that Poisson's ratio, and what it changes."""
+    """Return the body with at most that Poisson's ratio, and what it changes."""
     sheet = body.sheets[0]
     most = bulk_from_poisson(nu, sheet.material.shear_instant_Pa)
     if sheet.material.bulk_Pa <= most:
@@ -79,7 +80,7 @@ def _tried(body: Body, change_of: Callable[[Material], float], nu: float) -> tup
 
 
 def relative_change(body: Body, load: Load, end_s: float, at: Float) -> Callable[[Material], float]:
-    """Estimates the relative change of the motion with another material.
+    """Estimate the relative change of the motion with another material.
 
     L2 over the times, the largest of the middle of the spot and the places of the points around it.
     """

@@ -34,8 +34,7 @@ WIDER = 2.0
 """Safety factor: the difference between the two domain sizes divided by the true error of the larger one. Measured 3 to
 5 (palm preset, 12 mm, at 200 Hz, under a spot and 20 mm away, once the meshes agree); we use 2."""
 BELT = 1.0
-"""Error by an absorbing layer's sides over the difference from one without the belt along them, see
-trim_absorbing_rim."""
+"""Error of absorbing sides over the difference from a layer without the belt along them, see trim_absorbing_rim."""
 UNKNOWN = 1.0
 """Value of an unknown error: absorbing sides so near that no belt can be removed, or two identical meshes."""
 MOST_DOFS = 400_000
@@ -110,7 +109,7 @@ def refine_until_converged(
     """Widen absorbing bodies, add rows in depth, refine, each at most ROUNDS times, until the errors fit the accuracy.
 
     coarse: the solution of `now`, one mesh coarser; pinned: neither widen nor refine, only estimate the errors
-    taken: part of the accuracy that other errors, not estimated here, use up
+    taken: part of the accuracy for errors that are not estimated here
     judged: index in QUANTITIES of the quantity whose error must fit
     """
     reach_error = np.zeros(3)
@@ -154,11 +153,11 @@ def refine_until_converged(
 def refine_in_depth(
     body: Body, now: Discretisation, run: Run, coarse: MeshSolution, accuracy: float, pinned: bool, judged: int = 0
 ) -> tuple[Discretisation, MeshSolution, Float]:
-    """Add rows in depth until their error fits; the discretisation, its coarse solution and those errors, (3,).
+    """Add rows in depth until their error fits; return the discretisation, its coarse solution and the errors, (3,).
 
     On thin layers both meshes use the minimum number of element rows, so comparing them does not measure the
-    through-thickness error. This function adds rows until it does. Where the finer mesh has more rows than the coarser
-    one it does already, and the error here is 0.
+    through-thickness error. This function adds rows until it does. If the finer mesh already has more rows than the
+    coarser one, the error here is 0.
     """
     error = np.zeros(3)
     for _ in range(ROUNDS):

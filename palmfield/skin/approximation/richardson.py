@@ -13,7 +13,7 @@ STILL = 1e-9
 
 
 def error_of_finer(difference: Any, ratio: float, order: Any) -> Any:
-    """Error of the finer of two solutions whose error falls by `order` in the size of elements or steps.
+    """Return the error of the finer of two solutions whose error falls by `order` in the size of elements or steps.
 
     ratio: size of elements or steps of the coarser over that of the finer, > 1
     """
@@ -21,7 +21,7 @@ def error_of_finer(difference: Any, ratio: float, order: Any) -> Any:
 
 
 def error_of_coarser(difference: Any, ratio: float, order: Any) -> Any:
-    """As error_of_finer, of the coarser one."""
+    """Return the error of the coarser solution; arguments as of `error_of_finer`."""
     return difference / (1.0 - ratio**-order)
 
 
@@ -32,7 +32,7 @@ def relative_difference(solution: Float, reference: Float) -> float:
 
 
 def differences(solution: tuple[Float, Float], reference: tuple[Float, Float], normals: Float) -> Float:
-    """Relative differences of displacement, velocity and normal displacement, (3,): QUANTITIES.
+    """Return the relative differences of displacement, velocity and normal displacement, (3,): QUANTITIES.
 
     solution, reference: displacements and velocities, (t, n, 3) each; normals: of the face at the points, (n, 3)
     At a single time they are those of difference_at_rest.
@@ -46,8 +46,8 @@ def differences(solution: tuple[Float, Float], reference: tuple[Float, Float], n
 def difference_at_rest(solution: Float, reference: Float) -> float:
     """As relative_difference at a single time, (1, n, 3); points that move little are related to FAINT of the largest.
 
-    Two solutions may agree at a point by chance: half of the largest difference of all points over their largest motion
-    is the least.
+    Two solutions may agree at a point by chance, so the result is at least half of the largest difference of all points
+    over their largest motion.
     """
     size, difference = (np.linalg.norm(values, axis=(0, 2)) for values in (reference, reference - solution))
     most = float(size.max(initial=0.0))
@@ -59,6 +59,6 @@ def difference_at_rest(solution: Float, reference: Float) -> float:
 
 
 def largest_share(difference: Float, size: Float) -> float:
-    """Largest of difference / size over the points (n,) that move at all; 0 where none does."""
+    """Return the largest of difference / size over the points (n,) that move at all; 0 where none does."""
     moving = size > STILL * size.max(initial=0.0)
     return float((difference[moving] / size[moving]).max(initial=0.0))

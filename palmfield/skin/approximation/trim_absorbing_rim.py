@@ -17,7 +17,7 @@ FLATTEST = 0.5
 
 
 def refusal_of_spot(body: Body, load: Load) -> str | None:
-    """Why a spot cannot press this layer, in a sentence, or None."""
+    """Return why a spot cannot act on this layer, in a sentence, or None."""
     if not isinstance(body, Layer) or not isinstance(load, Spot):
         return None
     if not body.patch.rim.any() or abs(outward(body.patch)[2]) < FLATTEST:
@@ -29,10 +29,9 @@ def refusal_of_spot(body: Body, load: Load) -> str | None:
 
 
 def trim_absorbing_rim(body: Body, load: Load, points: Float, reach: float) -> Body:
-    """A layer without a belt along its rim, (1 - reach) of the way from the load's middle to there wide; others whole.
-
-    The belt ends half way to the load's path and the requested points (n, 3) where these are nearer. A layer without
-    such a belt is returned whole.
+    """Return a layer without a belt along its rim; other bodies are unchanged. The width of the belt is (1 - reach) of
+    the distance from the middle of the load to the rim. It ends half way to the path of the load and the requested
+    points (n, 3) where these are nearer. A layer without room for a belt is unchanged.
     """
     if reach == 1.0 or not isinstance(body, Layer):
         return body

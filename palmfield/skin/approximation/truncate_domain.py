@@ -20,10 +20,10 @@ from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float, Int, Patch
 
 SHARE = 0.1
-"""Part of the target accuracy that the cut edge may take."""
+"""Largest part of the target accuracy for the error of the cut edge."""
 
 FURTHEST = 20.0
-"""Distance in widths of the load up to which the decay is looked for."""
+"""Largest distance, in widths of the load, at which the decay is evaluated."""
 
 
 def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: float) -> tuple[Body, Load, float]:
@@ -97,7 +97,7 @@ def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float
 
 
 def part_of(patch: Patch, kept: NDArray[np.bool_]) -> Patch:
-    """The patch of some faces, (m,) bool; its rim is where no other of them follows."""
+    """Return the patch of some faces, (m,) bool; its rim is where no other of them follows."""
     numbers, faces = np.unique(patch.faces[kept], return_inverse=True)
     corners: Int = faces.reshape(-1, 3).astype(np.int32)
     return replace(

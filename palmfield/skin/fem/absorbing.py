@@ -24,7 +24,7 @@ SPONGE_DECAY = 14.0
 
 
 def match_speed(material: Material, f_Hz: float) -> float:
-    """Re sqrt(G*(f) / rho) [m/s]: the resistance of a face to a plane shear wave, by density.
+    """Return Re sqrt(G*(f) / rho) [m/s]: the resistance of a face to a plane shear wave, by density.
 
     Raises SceneError unless f_Hz > 0.
     """
@@ -34,7 +34,7 @@ def match_speed(material: Material, f_Hz: float) -> float:
 
 
 def side_dashpots(mesh: WedgeMesh, rows: Sequence[Material], f_Hz: float) -> sparse.csr_matrix:
-    """Damping [N s/m] of the side faces over all nodal components, csr, shape (3 nodes, 3 nodes).
+    """Return the damping [N s/m] of the side faces over all nodal components, csr, shape (3 nodes, 3 nodes).
 
     rows: material of each row of elements, the one at the surface first; f_Hz: where the dashpots match [Hz], > 0
     """
@@ -64,7 +64,7 @@ def side_dashpots(mesh: WedgeMesh, rows: Sequence[Material], f_Hz: float) -> spa
 
 
 def rim_edges(mesh: WedgeMesh) -> Int:
-    """Edges of the lateral boundary as surface nodes (start, middle, end), shape (e, 3)."""
+    """Return the edges of the lateral boundary as surface nodes (start, middle, end), shape (e, 3)."""
     triangles = mesh.surface_triangles6
     edges = triangles[:, [[0, 3, 1], [1, 4, 2], [2, 5, 0]]].reshape(-1, 3)
     _, index, uses = np.unique(edges[:, 1], return_index=True, return_counts=True)
@@ -72,7 +72,7 @@ def rim_edges(mesh: WedgeMesh) -> Int:
 
 
 def scatter(nodes: Int, blocks: Float, size: int) -> sparse.csr_matrix:
-    """Sum of blocks (m, n, 3, n, 3) over the nodes (m, n) as a csr matrix of shape (size, size)."""
+    """Return the sum of blocks (m, n, 3, n, 3) over the nodes (m, n) as a csr matrix of shape (size, size)."""
     width = 3 * nodes.shape[1]
     dofs = (3 * nodes[..., None] + np.arange(3)).reshape(len(nodes), width)
     rows, columns = np.repeat(dofs, width, axis=1).ravel(), np.tile(dofs, (1, width)).ravel()
@@ -80,7 +80,7 @@ def scatter(nodes: Int, blocks: Float, size: int) -> sparse.csr_matrix:
 
 
 def sponge(mesh: WedgeMesh, depth_in_ring: Float, width_m: float, speed_m_s: float) -> Float:
-    """Damping by mass of each column of elements [1/s], shape (triangles,), of a ring outside the body.
+    """Return the damping by mass of each column of elements [1/s], shape (triangles,), of a ring outside the body.
 
     depth_in_ring: distance of each surface vertex into the ring [m], 0 or below inside the body, shape (S,)
     width_m: of the ring [m], > 0; speed_m_s: shear speed [m/s]

@@ -74,7 +74,7 @@ class SkinSystem:
         return self.dof_map.shape[1]
 
     def elimination_order(self) -> Int:
-        """Order in which the unknowns are eliminated from a matrix, shape (n,): old index by new place."""
+        """Return the order in which the unknowns are eliminated from a matrix, shape (n,): old index by new place."""
         return self.order.value
 
     def scaled_by(self, other: "SkinSystem") -> list[float] | None:
@@ -176,7 +176,7 @@ def assemble(
 
 
 def _materials_of_parts(rows: list[Material], below: Foundation, shear_spring: float) -> tuple[Material, ...]:
-    """The first material of each relaxation law, in the order in which `_sums` meets them."""
+    """Return the first material of each relaxation law, in the order in which `_sums` meets them."""
     met = [*rows, *(sheet.material for sheet in below.sheets), *([rows[-1]] if shear_spring > 0.0 else [])]
     first: dict[tuple, Material] = {}
     for material in met:
@@ -260,7 +260,7 @@ class _Sums:
 
 
 def placed(matrix: sparse.csr_matrix, first: int, size: int) -> sparse.csr_matrix:
-    """A matrix as a diagonal block of one of shape (size, size), from row `first` on."""
+    """Return a matrix as a diagonal block of one of shape (size, size), from row `first` on."""
     if matrix.shape == (size, size):
         return matrix
     entries = matrix.tocoo()
@@ -268,7 +268,7 @@ def placed(matrix: sparse.csr_matrix, first: int, size: int) -> sparse.csr_matri
 
 
 def materials_of_rows(mesh: WedgeMesh, material: Material | Sequence[Material]) -> list[Material]:
-    """One material for each row of elements. Raises SceneError for another number than the mesh has rows."""
+    """Return one material for each row of elements. Raises SceneError for another number than the mesh has rows."""
     count = (mesh.levels - 1) // 2
     rows = [material] * count if isinstance(material, Material) else list(material)
     if len(rows) != count:
@@ -277,7 +277,7 @@ def materials_of_rows(mesh: WedgeMesh, material: Material | Sequence[Material]) 
 
 
 def _by_row(mesh: WedgeMesh, values: list[float]) -> Float:
-    """A value for each element from those of the rows, shape (m, 1, 1)."""
+    """Return a value for each element from those of the rows, shape (m, 1, 1)."""
     return np.repeat(values, len(mesh.surface_triangles6))[:, None, None]
 
 
@@ -361,13 +361,13 @@ class _Pattern:
         return sparse.bsr_matrix((data, self.indices, self.starts), shape=(3 * self.nodes, 3 * self.nodes)).tocsr()
 
     def scalars(self, values: Float) -> sparse.csr_matrix:
-        """Sum of element scalars (m, 18, 18), the same for each component."""
+        """Return the sum of element scalars (m, 18, 18), the same for each component."""
         one = sparse.csr_matrix((self._sum(values), self.indices, self.starts), shape=(self.nodes, self.nodes))
         return sparse.kron(one, sparse.identity(3), format="csr")
 
 
 def _free_directions(mesh: WedgeMesh, base: BaseKind, side: SideKind, deeper: int) -> sparse.csr_matrix:
-    """Orthonormal directions in which each node may move, as columns over the components of all nodes.
+    """Return the orthonormal directions in which each node may move, as columns over the components of all nodes.
 
     deeper: levels of nodes below the mesh, the last of which lies on the base; the sides continue along them
     """

@@ -32,7 +32,7 @@ class BlockFactor:
     """The data of the solve kernels. Unknowns are numbered by places: part by part, each padded to groups of WIDTH.
 
     size: places, a multiple of WIDTH. place: of each unknown of the matrix, shape (n,).
-    branches: independent parts. trunk: the part to which all of them lead.
+    branches: independent parts. trunk: the part into which all branches lead.
     nodes: the blocks. widest: unknowns of the largest supernode. stored: numbers in all blocks.
     """
 
@@ -48,8 +48,8 @@ class BlockFactor:
 def block_factor(matrix: Any, order: Int, *, multiplied: bool = True) -> BlockFactor:
     """Factorise a real symmetric positive definite matrix, sparse (n, n), eliminated in this order, shape (n,).
 
-    multiplied: whether a block holds S^-1 of its own part and L_below L_own^-1, of which a solve reads least; else
-        L_own^-1 and L_below, by which it is three digits more precise
+    multiplied: whether a block holds S^-1 of its own part and L_below L_own^-1, so that a solve reads the least data;
+    else L_own^-1 and L_below, with which it is three digits more precise
     Raises RuntimeError where the matrix is not positive definite.
     """
     lower = lower_triangle(matrix, order)

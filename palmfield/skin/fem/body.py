@@ -12,7 +12,7 @@ from palmfield.skin.problem import Body, Layer
 
 
 def build(body: Body, sizes: Sizes) -> SkinSystem:
-    """Mesh and matrices. Raises SceneError for what they can't be made of, an inverted element among it."""
+    """Return mesh and matrices. Raises SceneError if they cannot be made, for example for an inverted element."""
     side = body.side or "absorbing"
     if isinstance(body, Layer):
         patch = body.patch

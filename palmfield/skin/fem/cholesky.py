@@ -1,7 +1,7 @@
 """Solves with a real symmetric positive definite matrix, for one right-hand side or many.
 
-One column is as quick as its factor is read, by kernels; many go through it together, by dense products, at some
-fifteen times as many a second. Two threads share either.
+A single column is solved by kernels, at the speed of reading the factor. Many columns are solved together by dense
+products, at about fifteen times the rate. Two threads share the work in both cases.
 """
 
 import threading
@@ -20,7 +20,7 @@ from warp_kernels import block_solves as kernels
 from warp_kernels.supernodes import WIDTH, lanes
 
 FEW, CHUNK = 4, 128
-"""Columns up to which each goes by itself, and that go together at most."""
+"""Number of columns up to which each is solved separately, and largest number that is solved together."""
 
 
 class Cholesky:
@@ -63,7 +63,7 @@ class Cholesky:
         return 2 * self._factor.stored
 
     def solve(self, right: Any) -> Any:
-        """The solution, shape (n,) or (n, k), of matrix @ solution = right; complex where right is."""
+        """Return the solution, shape (n,) or (n, k), of matrix @ solution = right; complex where right is."""
         if right.dtype.kind == "c":
             return self.solve(right.real) + 1j * self.solve(right.imag)
         columns = right[:, None] if right.ndim == 1 else right
@@ -125,7 +125,7 @@ class Cholesky:
             own[...] = inverse.T @ (own - below.T @ moved[rows])
 
     def _block(self, number: int) -> tuple[int, Float, Float, Int]:
-        """First place of a supernode, the inverse of its own part, the part below, and its places."""
+        """Return the first place of a supernode, the inverse of its own part, the part below, and its places."""
         column, size, groups, value, row = (int(values[number]) for values in self._nodes)
         own = -(-size // WIDTH)
         lines = self._values[value : value + (own + groups) * size].reshape(own + groups, size, WIDTH)

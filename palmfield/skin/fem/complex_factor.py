@@ -1,4 +1,4 @@
-"""Solves with a complex symmetric matrix, such as a harmonic one: few, so that its blocks stay as they come."""
+"""Solves with a complex symmetric matrix, such as a harmonic one. Few solves, so blocks are not rearranged."""
 
 import threading
 from typing import Any
@@ -34,7 +34,7 @@ class ComplexFactor:
         return 2 * sum(node.stored for node in self._nodes)
 
     def solve(self, right: Any) -> Any:
-        """The solution, shape (n,) or (n, k), of matrix @ solution = right."""
+        """Return the solution, shape (n,) or (n, k), of matrix @ solution = right."""
         moved = np.asarray(right[self._order], dtype=complex)
         with one_blas_thread, self._lock:
             for node, (inverse, below) in zip(self._nodes, self._blocks, strict=True):

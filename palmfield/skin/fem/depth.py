@@ -79,7 +79,7 @@ def _joined(upper: Complex, lower: Complex) -> Complex:
 
 
 def _without(matrix: Complex, inner: Sequence[int]) -> Complex:
-    """Stiffness of the other unknowns where `inner` carry no load; their rows and columns are left out."""
+    """Return the stiffness of the other unknowns where `inner` carry no load; their rows and columns are left out."""
     outer = np.setdiff1d(np.arange(matrix.shape[1]), inner)
     across = matrix[:, inner][:, :, outer]
     inside = np.linalg.solve(matrix[:, inner][:, :, inner], across) if len(inner) else across
@@ -105,7 +105,7 @@ def _piece(k: Float, f_Hz: float, material: Material, h: float, degree: int) -> 
 
 
 def _by_rise(degree: int, h: float) -> tuple[Float, Float, Float, Float]:
-    """line_matrices with the constant 1 for the first function: the others then weigh rises from the top."""
+    """Return line_matrices with the constant 1 for the first function: the others then weigh rises from the top."""
     whole = np.eye(degree + 1)
     whole[:, 0] = 1.0
     mass, slope, mixed, projected = (whole.T @ matrix @ whole for matrix in line_matrices(degree, h))

@@ -48,7 +48,7 @@ class Supernode:
 
 
 def lower_triangle(matrix: Any, order: Int) -> sparse.csc_matrix:
-    """That of a symmetric matrix, sparse (n, n), as its unknowns are eliminated.
+    """Return the lower triangle of a symmetric matrix, sparse (n, n), in elimination order.
 
     order: old index by new place, shape (n,)
     """
@@ -61,7 +61,7 @@ def lower_triangle(matrix: Any, order: Int) -> sparse.csc_matrix:
 
 
 def supernodes(matrix: sparse.csc_matrix) -> list[Supernode]:
-    """Supernodes of a symmetric matrix from its lower triangle, csc (n, n), with a full diagonal."""
+    """Return the supernodes of a symmetric matrix from its lower triangle, csc (n, n), with a full diagonal."""
     parent, below = _tree(matrix.tocsr())
     count = len(parent)
     begins = np.ones(count, dtype=bool)
@@ -106,7 +106,7 @@ def _merged(runs: list[Supernode]) -> list[Supernode]:
 
 
 def branches(supernodes: list[Supernode]) -> list[list[int]]:
-    """Numbers of the supernodes of BRANCHES parts with about the same work, and of the trunk, each in order."""
+    """Divide the supernodes into BRANCHES parts of about equal work and a trunk; return their numbers in order."""
     parents = parents_of(supernodes)
     children: list[list[int]] = [[] for _ in supernodes]
     roots = []
@@ -143,13 +143,13 @@ def branches(supernodes: list[Supernode]) -> list[list[int]]:
 
 
 def parents_of(supernodes: list[Supernode]) -> list[int]:
-    """The supernode that contains the first row below each one, -1 where it has none."""
+    """Return for each supernode the one that contains its first row below, -1 if there is none."""
     node_of = np.repeat(np.arange(len(supernodes)), [node.last - node.first for node in supernodes])
     return [int(node_of[node.rows[0]]) if len(node.rows) else -1 for node in supernodes]
 
 
 def _shared(roots: list[int], work: Float) -> list[list[int]]:
-    """Trees by the part that gets them: the largest first, each to the part with least to do."""
+    """Return the trees by the part that gets them: the largest first, each to the part with least to do."""
     shares: list[list[int]] = [[] for _ in range(BRANCHES)]
     sums = [0.0] * BRANCHES
     for number in sorted(roots, key=lambda number: (-work[number], number)):
@@ -207,7 +207,7 @@ def eliminate(
 
 
 def _real_root(own: Float) -> Float:
-    """The inverse of the lower triangle L of own = L L^T, whose lower triangle is read."""
+    """Return the inverse of the lower triangle L of own = L L^T, whose lower triangle is read."""
     root, failed = lapack.dpotrf(own, lower=1)
     if failed:
         raise np.linalg.LinAlgError
@@ -236,7 +236,7 @@ def _complex_root(own: Complex) -> Complex:
 
 
 def _front(matrix: sparse.csc_matrix, node: Supernode, before: list[tuple[Int, Any]]) -> tuple[Any, Any]:
-    """Columns of a supernode, (w + rows, w), and the sum of the remainders for the rows below, (rows, rows).
+    """Return the columns of a supernode, (w + rows, w), and the sum of the remainders for the rows below, (rows, rows).
 
     Of symmetric parts the lower triangles are valid. before: rows and remainder of each supernode before.
     """

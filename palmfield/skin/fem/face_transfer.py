@@ -1,4 +1,4 @@
-"""Transfer between the wedges of a layer and the same face on another mesh: pressure goes there, motion comes back."""
+"""Transfer between the wedges of a layer and the same face on another mesh: pressure to that mesh, and motion back."""
 
 import numpy as np
 from scipy import sparse
@@ -57,7 +57,7 @@ def read(motion: Float, reader: Reader) -> Float:
 
 
 def ends_of_substeps(pressure: sparse.csr_matrix, patterns: Float, first: Float, last: Float) -> Float:
-    """Pressure at the nodes of a face at both ends of each substep, shape (2 s, f), start and end in turn.
+    """Return the pressure at the nodes of a face at both ends of each substep, shape (2 s, f), start and end in turn.
 
     pressure: of FaceTransfer, (f, q); patterns: at the quadrature points [Pa], (k, q); first, last: weights, (s, k)
     """

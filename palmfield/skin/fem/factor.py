@@ -46,7 +46,7 @@ class Factor:
         return int(self._lu.nnz)
 
     def solve(self, right: Any) -> Any:
-        """The solution, shape (n,) or (n, k), of matrix @ solution = right; complex where either is."""
+        """Return the solution, shape (n,) or (n, k), of matrix @ solution = right; complex where either is."""
         order = self._order
         with one_blas_thread, self._lock:
             if order is None:
@@ -65,11 +65,11 @@ AnyFactor: TypeAlias = "Factor | Cholesky | ComplexFactor | PardisoFactor"
 
 @phase("factors")
 def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
-    """The solver of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
+    """Return the solver of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
 
     matrix, order: as for `superlu`
-    For real matrices PARDISO, where it is installed and not switched off; for others blocks of our own, where an order
-    is given; SuperLU without one, and for what these can't take.
+    Real matrices use PARDISO if it is installed and not switched off. Other matrices use our own blocks if an order is
+    given. SuperLU is used without an order, and for matrices that the others refuse.
     Raises RuntimeError where a pivot is exactly 0.
     """
     lossy = matrix.dtype.kind == "c"
@@ -86,7 +86,7 @@ def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
 
 
 def switched_on() -> bool:
-    """Whether PARDISO may be used. Raises PalmfieldError for a PALMFIELD_PARDISO that is neither on nor off."""
+    """Return whether PARDISO may be used. Raises PalmfieldError for a PALMFIELD_PARDISO that is neither on nor off."""
     named = os.environ.get(SWITCH, "on").strip().lower()
     if named not in (*OFF, "on", "1", ""):
         raise PalmfieldError(f"environment variable {SWITCH} is '{named}'; allowed: on, or {', '.join(OFF)}")

@@ -144,7 +144,7 @@ def fit_foundation(
     frequencies_Hz: Sequence[float] = FREQUENCIES_Hz,
     target: float = 0.05,
 ) -> Foundation:
-    """The foundation of lowest degree that replaces the sheets `below` under the meshed sheets `above`.
+    """Return the foundation of lowest degree that replaces the sheets `below` under the meshed sheets `above`.
 
     fwhm_m: full widths of the Gaussian spots for which it must hold [m]; base: below the lowest sheet.
     frequencies_Hz: where it must hold [Hz], > 0; target: largest misfit allowed.

@@ -20,7 +20,7 @@ RHO_INF = 0.8
 
 
 def branch_weights(step_s: float, tau_s: float) -> tuple[float, float, float]:
-    """(e, a, b) of q1 = e q0 + a u0 + b u1 over a step [s] at relaxation time tau [s]."""
+    """Return (e, a, b) of q1 = e q0 + a u0 + b u1 over a step [s] at relaxation time tau [s]."""
     if tau_s == 0.0:
         return 0.0, 0.0, 1.0
     x = step_s / tau_s
@@ -31,7 +31,7 @@ def branch_weights(step_s: float, tau_s: float) -> tuple[float, float, float]:
 
 
 def alpha_weights(rho_inf: float) -> tuple[float, float, float, float]:
-    """(alpha_m, alpha_f, beta, gamma) of Chung & Hulbert (1993), equations 17, 18 and 25."""
+    """Return (alpha_m, alpha_f, beta, gamma) of Chung & Hulbert (1993), equations 17, 18 and 25."""
     alpha_m = (2.0 * rho_inf - 1.0) / (rho_inf + 1.0)
     alpha_f = rho_inf / (rho_inf + 1.0)
     return alpha_m, alpha_f, 0.25 * (1.0 - alpha_m + alpha_f) ** 2, 0.5 - alpha_m + alpha_f
@@ -104,5 +104,5 @@ class Scheme:
         return [term.coefficient / (1.0 - self.alpha_f) for term in self.terms[-parts:]]
 
     def effective(self) -> sparse.csr_matrix:
-        """The matrix that a step solves with, (n, n) [N/m]."""
+        """Return the matrix that a step solves with, (n, n) [N/m]."""
         return sum(term.coefficient * term.matrix for term in self.terms)

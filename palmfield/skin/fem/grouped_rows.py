@@ -18,7 +18,7 @@ from warp_kernels.supernodes import ROWS, GroupedRows, rows_of_group
 def grouped_rows(
     matrices: Sequence[sparse.csr_matrix], ranges: Sequence[tuple[int, int]]
 ) -> tuple[GroupedRows, list[tuple[int, int]]]:
-    """The matrices next to each other, shape (n, m n), with the groups of each range of rows together.
+    """Return the matrices next to each other, shape (n, m n), with the groups of each range of rows together.
 
     matrices: m of them, csr (n, n); ranges: first row of each, and the one after its last; together all non-zero rows,
         each once.
@@ -57,6 +57,6 @@ def grouped_rows(
 
 
 def _alike(matrix: sparse.csr_matrix, first: int, last: int) -> Int:
-    """Rows first..last - 1 with those together that may share columns: a mass couples no x with a y."""
+    """Return the rows first..last - 1 with those together that may share columns: a mass couples no x with a y."""
     _, part = connected_components(matrix, directed=False)
     return (first + np.argsort(part[first:last], kind="stable")).astype(np.int32)

@@ -30,7 +30,7 @@ class LinearBody(Protocol):
 
 @dataclass(frozen=True)
 class Matrices:
-    """A LinearBody that is nothing else."""
+    """The matrices of a LinearBody without further data."""
 
     mass: Any
     damping: Any

@@ -49,7 +49,7 @@ class SurfaceQuadrature:
     def assemble(self, traction_normal: Float) -> Float:
         """Consistent nodal forces [N] over the free degrees of freedom, shape (n,), of an inward pressure [Pa], (q,).
 
-        Raises SceneError unless there is one pressure a point.
+        Raises SceneError unless there is one pressure per point.
         """
         pressure = np.asarray(traction_normal, dtype=float)
         if pressure.shape != self.weights.shape:
@@ -76,7 +76,7 @@ def quartered_rule(halvings: int) -> tuple[Float, Float]:
 
 
 def face_points(patch: Patch, halvings: int = 1) -> tuple[Float, Float]:
-    """Points of a patch and the area of each, for a Traction on it: shapes (q, 3) [m] and (q,) [m2].
+    """Return the points of a patch and the area of each, for a Traction on it: shapes (q, 3) [m] and (q,) [m2].
 
     They are the quadrature points of its own triangles, each cut into 4^halvings. On elements that are these triangles,
     forces at the points are exactly the load. On others the pressure is linear between the points (`traction.sampled`).

@@ -18,11 +18,11 @@ ROUND_OFF = 1e-6
 BESIDE = 0.05
 """The same over the rim of a layer, whose triangles lie slightly off the surface that they represent."""
 PARTS = 3
-"""Places across a cell of the face, over which its pressure is a mean."""
+"""Number of places along a cell of the face over which its pressure is averaged."""
 
 
 def on_body(body: Body, load: Load) -> Load:
-    """A load without the part off the body; the same load if all of it is on the body.
+    """Return a load without the part off the body; the same load if all of it is on the body.
 
     A spot is returned unchanged. If areas of the points of a traction reach over the side of a slab or the rim of a
     layer, the pressure between its points is sampled at points of the face, which cover the whole pressed face. Points
@@ -55,7 +55,7 @@ def _part(load: Traction, chosen: NDArray[np.bool_]) -> Traction:
 
 
 def off_face(body: Body, points: Float) -> Float:
-    """Distance along the face from points [m], (n, 3), to the sides of a slab or the rim of a layer; 0 on it, (n,)."""
+    """Return the distance of points [m], (n, 3), from the face of a slab or layer, along it; 0 on it, (n,)."""
     if isinstance(body, Slab):
         return np.maximum(-distance_to_sides(body, points[:, :2]), 0.0)
     away = points - closest_on_triangles(body.patch.vertices[body.patch.faces], points)[1]

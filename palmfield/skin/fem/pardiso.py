@@ -22,7 +22,7 @@ POSITIVE_DEFINITE = 2
 
 @functools.cache
 def library() -> Any:
-    """The module of pypardiso that wraps PARDISO; None where it is not installed, or MKL is not found.
+    """Return the module of pypardiso that wraps PARDISO; None where it is not installed, or MKL is not found.
 
     None on Windows too, where more than one factor at a time ends Python.
     """
@@ -39,8 +39,8 @@ class PardisoFactor:
     """Sparse Cholesky of one real matrix.
 
     matrix: sparse, (n, n)
-    A factor serves one thread at a time: others wait. It serves the process that made it only: threads of MKL don't
-    survive a fork.
+    A factor serves one thread at a time: others wait. It serves the process that made it only: threads of MKL do not
+    exist after a fork.
     Raises RuntimeError where the matrix is not positive definite.
     """
 
@@ -65,7 +65,7 @@ class PardisoFactor:
         return 2 * int(self._solver.get_iparm(18))
 
     def solve(self, right: Any) -> Any:
-        """The solution, shape (n,) or (n, k), of matrix @ solution = right; complex where right is.
+        """Return the solution, shape (n,) or (n, k), of matrix @ solution = right; complex where right is.
 
         Raises RuntimeError in another process than the one that made the factor.
         """

@@ -45,7 +45,7 @@ class SurfaceProbe:
 
 
 def nearest_on_surface(mesh: WedgeMesh, points: Float) -> tuple[Float, Float, Int, Float]:
-    """The closest points [m] of the surface of a mesh, shape (n, 3), and the outward normals there, (n, 3).
+    """Return the closest points [m] of the surface of a mesh, shape (n, 3), and the outward normals there, (n, 3).
 
     Also the triangles that contain them, (n,), and their xi and eta, (n, 2). points: [m], shape (n, 3)
     """
@@ -57,7 +57,7 @@ def nearest_on_surface(mesh: WedgeMesh, points: Float) -> tuple[Float, Float, In
 
 
 def closest_on_triangles(corners: Float, points: Float) -> tuple[Int, Float]:
-    """Index of the closest triangle (n,) and the closest point on it (n, 3)."""
+    """Return the index of the closest triangle (n,) and the closest point on it (n, 3)."""
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max()
     tree = scipy.spatial.cKDTree(centroids)

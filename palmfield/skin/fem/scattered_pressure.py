@@ -1,4 +1,4 @@
-"""Pressures at points scattered over a curved surface, made into a pressure between them or spread over their areas."""
+"""Interpolate pressures at scattered points of a curved surface, or spread them over the areas of the points."""
 
 import itertools
 
@@ -13,7 +13,7 @@ NEIGHBOURS = 9
 CLOSEST = 6
 """Number of points, with the point itself, in the mean of the spacing: points of a triangle's rule differ in area."""
 LONGEST = 3.0
-"""Spacings that a corner is off at most: wider gaps have no pressure."""
+"""Largest distance of a corner, in spacings; wider gaps have no pressure."""
 DISC = 1.0 / np.sqrt(np.pi)
 """Spacings, the roots of areas, that are the radius of a disc of that area."""
 SAME_SIDE = 0.3
@@ -24,7 +24,7 @@ CHUNK = 20_000
 
 
 def between_points(points: Float, normals: Float, areas_m2: Float, places: Float, facing: Float) -> sparse.csr_matrix:
-    """Shares of the pressures at points in that at places, csr, shape (q, p): linear on triangles between the points.
+    """Return the weights of pressures at points in the pressure at places, csr, (q, p): linear on triangles of points.
 
     Rows sum to 1 or, where there is no pressure, to 0. The triangle of a place is one of near points, in the plane that
     touches the surface there: the one whose corners have the least mean squared distance, which is Delaunay's (Rajan
@@ -46,7 +46,8 @@ def between_points(points: Float, normals: Float, areas_m2: Float, places: Float
 def spread_forces(
     points: Float, normals: Float, areas_m2: Float, places: Float, facing: Float, weights_m2: Float
 ) -> sparse.csr_matrix:
-    """Pressures at places of unit pressures at points, csr, shape (q, p), each over a disc of its area by itself.
+    """Return the pressures at places for unit pressures at points, csr, shape (q, p), each spread over a disc of its
+    area.
 
     Its pressure falls from the middle as a parabola does, and its force is that of the area; a column is empty where no
     place lies on the disc. Arguments as of `between_points`; weights_m2: areas of the places, shape (q,)
@@ -94,7 +95,7 @@ def _shares(
 
 
 def _in_plane(steps: Float, normals: Float) -> Float:
-    """Two components of vectors (q, k, 3) across normals (q, 3), shape (q, k, 2)."""
+    """Return two components of vectors (q, k, 3) across normals (q, 3), shape (q, k, 2)."""
     helper = np.eye(3)[np.abs(normals).argmin(axis=1)]
     along = np.cross(normals, helper)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -103,7 +104,7 @@ def _in_plane(steps: Float, normals: Float) -> Float:
 
 
 def _triangle(flat: Float, counted: np.ndarray) -> tuple[Int, Float]:
-    """Corners (q, 3) of the Delaunay triangle round 0 and their shares there; -1 where no triangle holds 0.
+    """Return the corners (q, 3) of the Delaunay triangle round 0 and their shares there; -1 where no triangle holds 0.
 
     flat: near points, shape (q, k, 2), of which those `counted` (q, k) may be corners
     """

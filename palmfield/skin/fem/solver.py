@@ -15,7 +15,7 @@ from palmfield.types import Complex, Float
 
 
 def static(system: SkinSystem, force: Float) -> Float:
-    """Displacement [m], (ndof,), under a force [N] that has acted for ever: the branches are relaxed.
+    """Return the displacement [m], (ndof,), under a constant force [N], with relaxed branches.
 
     Raises SceneError for a body without support.
     """
@@ -29,13 +29,13 @@ def static(system: SkinSystem, force: Float) -> Float:
 
 
 def harmonic(system: SkinSystem, force: Float, f_Hz: float) -> Complex:
-    """Complex displacement [m], (ndof,), under force [N] times e^{-i w t}, exact in time."""
+    """Return the complex displacement [m], (ndof,), under force [N] times e^{-i w t}, exact in time."""
     s = -2j * math.pi * f_Hz
     return _solve_dynamic(system, force, s**2, s, [complex(part.material.stiffening(s)) for part in system.parts])
 
 
 def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: float) -> Complex:
-    """The steady state that WedgeStepper itself reaches under force [N] times e^{-i w t}: its z-symbol.
+    """Return the steady state that WedgeStepper itself reaches under force [N] times e^{-i w t}: its z-symbol.
 
     |harmonic_discrete - harmonic| is the error of the time step. f_Hz > 0, below half the step rate.
     """

@@ -30,12 +30,12 @@ WRAPPED = 0.1
 
 
 def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_matrix:
-    """Nodal forces [N] of pressures [Pa] at the points of a traction, csr, shape (n, p).
+    """Return the nodal forces [N] of pressures [Pa] at the points of a traction, csr, shape (n, p).
 
     The pressure is that of `field_at`, integrated on a rule about as close as the points lie. Forces at the points
-    themselves, of their areas, would be a rough load on elements not much larger than those areas. A thin layer answers
-    more to a rough load than to a smooth one: a bonded layer of 1 mm round a bone moved up to 200 times too far. Such
-    forces remain for points that are `alone`, and for the points of the rule on a body (`face_points`).
+    themselves would be a rough load on elements that are not much larger than the areas of the points. A thin layer
+    responds more to a rough load than to a smooth one: a bonded layer of 1 mm round a bone moved up to 200 times too
+    far. Such forces remain for points that are `alone`, and for the points of the rule on a body (`face_points`).
     """
     probe = SurfaceProbe(mesh, load.points, system)
     forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
@@ -56,13 +56,13 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
 def field_at(
     load: Traction, normals: Float, places: Float, facing: Float, weights_m2: Float | None
 ) -> sparse.csr_matrix:
-    """Shares of the pressures at the points of a traction in the pressure at places of a face, csr, shape (q, p).
+    """Return the weights of the pressures of a traction in the pressure at places of a face, csr, shape (q, p).
 
     The pressure is linear between the points and constant over half a spacing beyond the outermost.
     Points seen from above are joined by Delaunay triangles in x and y. Skin above or below a triangle, farther from it
     than its longest edge, has no pressure. Points about a body are joined by triangles in its own surface. If points
     are on a line, or their areas are not those between them, their forces are spread over discs of these areas.
-    The mean size of the pressure over the times of the load pushes with the areas of the points.
+    The force of the mean magnitude of the pressure over time is that of the areas of the points.
 
     normals: outward unit normals at the points, (p, 3); places [m], facing: the same of the face, (q, 3).
     weights_m2: area of each place, (q,), by which the force is kept. None: only pressures are needed.
@@ -86,9 +86,8 @@ def field_at(
 
 
 def alone(between: sparse.csr_matrix, load: Traction) -> NDArray[np.bool_]:
-    """Points of a traction that no place is near, (p,): they push by themselves.
-
-    Points of a net that is finer than the places are not alone, as the others push for them.
+    """Return which points of a traction have no place nearby, (p,); their forces act separately. Points of a net that
+    is finer than the places are not alone, because neighbouring points represent them.
     """
     missed = np.asarray(between.getnnz(axis=0)) == 0
     return missed if missed.all() or seen_from_above(load) is None else np.zeros_like(missed)
@@ -116,7 +115,7 @@ def face_pressure(load: Traction, nodes: Int, shares: Float, places: Float, area
 
 
 def of_rule(mesh: WedgeMesh, system: SkinSystem, points: Float) -> bool:
-    """Whether points are those of the rule of the triangles of the mesh, however often quartered."""
+    """Return whether the points are quadrature points of the triangles of the mesh, quartered any number of times."""
     halvings = math.log(len(points) / (len(triangle_rule()[0]) * len(mesh.surface_triangles6)), 4.0)
     if halvings < 0.0 or not halvings.is_integer():
         return False
@@ -140,7 +139,7 @@ class Net:
     steep: NDArray[np.bool_]
 
     def between(self, places: Float, count: int) -> sparse.csr_matrix:
-        """Shares of the pressures at `count` points in that at places [m] (q, 3), csr, shape (q, count)."""
+        """Return the shares of the pressures at `count` points in that at places [m] (q, 3), csr, shape (q, count)."""
         net = self.delaunay
         # Points outside are searched among all triangles, one by one
         low, high = net.min_bound, net.max_bound
@@ -180,7 +179,7 @@ def seen_from_above(load: Traction) -> Net | None:
 
 
 def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
-    """The outermost points' numbers (m,), and places (m, 2) half their spacing outside."""
+    """Return the numbers of the outermost points (m,), and places (m, 2) half of their spacing outside."""
     edges = net.convex_hull
     along = net.points[edges[:, 1]] - net.points[edges[:, 0]]
     out = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
@@ -195,7 +194,7 @@ def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
 
 
 class PressureHistory:
-    """The pressure of a load on a layer as time goes on.
+    """The pressure of a load on a layer over time.
 
     operator: csr, shape (n, q): consistent nodal force [N] = operator @ pressure at the load's points [Pa]
     knots_s: the load's own times [s]
@@ -231,7 +230,7 @@ class PressureHistory:
         return SurfaceLoads(np.array(ends).reshape(1, 2 * len(ends), -1), unit[:, ::2], unit[:, 1::2])
 
     def _ends(self, course: Callable[[float], Any], start_s: float, end_s: float) -> tuple[Any, Any]:
-        """The course at both ends of a substep. Two Gauss points between knots: exact for a linear one."""
+        """Return the course at both ends of a substep. Two Gauss points between knots: exact for a linear one."""
         inside = self.knots_s[(self.knots_s > start_s) & (self.knots_s < end_s)]
         edges = np.concatenate([[start_s], inside, [end_s]])
         first = last = 0.0
@@ -245,7 +244,7 @@ class PressureHistory:
         return first, last
 
     def final_force(self) -> Float:
-        """Force [N], (n,), of the load after its last time."""
+        """Return the force [N], (n,), of the load after its last time."""
         return self.operator @ self.pressure(float(self.knots_s[-1]))
 
     def pressure(self, t: float) -> Float:
@@ -258,12 +257,12 @@ class PressureHistory:
         return float(weights @ np.asarray(self.load.peak_Pa)) * self._bell(weights @ self.centres)
 
     def _weight(self, t: float) -> float:
-        """Peak [Pa] of a spot at time t [s]."""
+        """Return the peak [Pa] of a spot at time t [s]."""
         assert isinstance(self.load, Spot)
         return float(self._knot_weights(t) @ np.asarray(self.load.peak_Pa))
 
     def _knot_weights(self, t: float) -> Float:
-        """Weight of each of the load's own times at time t [s], shape (f,)."""
+        """Return the weight of each of the load's own times at time t [s], shape (f,)."""
         knots, weights = self.knots_s, np.zeros(len(self.knots_s))
         place = int(np.searchsorted(knots, t, side="right")) - 1
         if place >= 0:
@@ -279,5 +278,5 @@ class PressureHistory:
 
 
 def bell(points: Float, centre: Float, fwhm_m: float) -> Float:
-    """Share of the peak of a spot at points (n, 3), by their distance from its centre (2,) in x and y."""
+    """Return the share of the peak of a spot at points (n, 3), by their distance from its centre (2,) in x and y."""
     return np.exp(-GAUSSIAN * ((points[:, :2] - centre) ** 2).sum(axis=1) / fwhm_m**2)

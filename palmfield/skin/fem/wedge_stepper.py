@@ -5,7 +5,7 @@ sums of rows of the old state. One of the K_i need not be multiplied: with z_0 =
 
     x = y + A^-1 (f + sum over i > 0 of K_i (z_i - c_i y)).
 
-The matrix with the most numbers is left out in this way, which is a third of all that a substep of a small layer reads.
+The largest matrix is omitted in this way, which is a third of the data that a substep of a small layer reads.
 """
 
 from collections.abc import Callable
@@ -216,7 +216,7 @@ class _Numbers:
 def _placed(
     matrix: sparse.csr_matrix, factor: BlockFactor, *, rows: bool = False, columns: bool = True
 ) -> sparse.csr_matrix:
-    """The matrix with its columns, or rows, or both, numbered by the places of the factor."""
+    """Return the matrix with its columns, or rows, or both, numbered by the places of the factor."""
     parts, place = sparse.coo_matrix(matrix), factor.place
     row, count = (place[parts.row], factor.size) if rows else (parts.row, matrix.shape[0])
     column, width = (place[parts.col], factor.size) if columns else (parts.col, matrix.shape[1])
@@ -224,7 +224,7 @@ def _placed(
 
 
 def _coupled(matrix: sparse.csr_matrix, ranges: list[tuple[int, int]]) -> bool:
-    """Whether a matrix couples unknowns of two ranges, each from the first to the one after the last."""
+    """Return whether a matrix couples unknowns of two ranges, each from the first to the one after the last."""
     parts = sparse.coo_matrix(matrix)
     of_row, of_column = np.zeros((2, parts.nnz), np.int8)
     for number, (first, last) in enumerate(ranges, 1):

@@ -170,7 +170,7 @@ CATALOGUE: dict[str, Preset] = {
 
 
 def law_presets() -> dict[str, Preset]:
-    """Of modules `law_*` of this package, each a law and its PRESETS."""
+    """Return the PRESETS of the modules `law_*` of this package."""
     modules = sorted(one.name for one in iter_modules(import_module(__package__).__path__) if one.name[:4] == "law_")
     entries = [entry for name in modules for entry in import_module(f"{__package__}.{name}").PRESETS]
     return {entry.material.name: entry for entry in entries}
@@ -181,7 +181,7 @@ PRESETS: dict[str, Material] = {name: entry.material for name, entry in CATALOGU
 
 
 def preset(name: str) -> Material:
-    """The material of that name in PRESETS. Raises SceneError, with the available names, for another."""
+    """Return the material of that name in PRESETS. Raises SceneError, with the available names, for another."""
     if name not in PRESETS:
         near = did_you_mean(name, PRESETS)
         raise SceneError(f"skin material '{name}' is unknown{near}; use one of {', '.join(sorted(PRESETS))}")
@@ -263,7 +263,7 @@ def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
 
 
 def varied(entry: Preset) -> list[Material]:
-    """The material of the preset at the low and the high end of each of its ranges, one range at a time."""
+    """Return the material of the preset at the low and the high end of each of its ranges, one range at a time."""
     materials = []
     for bounds in entry.ranges:
         for value in (bounds.low, bounds.high):
@@ -287,7 +287,7 @@ def softest_and_stiffest(entry: Preset) -> tuple[Material, Material] | None:
 
 
 def _with_value(material: Material, parameter: str, value: float, name: str) -> Material:
-    """The material with another value of the parameter of a range, see `Range`."""
+    """Return the material with another value of the parameter of a range, see `Range`."""
     if parameter == "shear":
         return scaled(material, value, name)
     changed: dict[str, Any] = {parameter: value}
@@ -295,7 +295,7 @@ def _with_value(material: Material, parameter: str, value: float, name: str) -> 
 
 
 def scaled(material: Material, factor: float, name: str) -> Material:
-    """The material with all shear moduli times a factor; K stays, since it says how little volume changes."""
+    """Return the material with all shear moduli times a factor; K stays, since it says how little volume changes."""
     branches = tuple(Branch(factor * branch.shear_Pa, branch.time_s) for branch in material.branches)
     return replace(
         material,

@@ -1,4 +1,4 @@
-"""Waves of a skin material: what one frequency does in it, from its complex moduli.
+"""Waves of a skin material at one frequency, from its complex moduli.
 
 Phasors go with e^{-i w t}: G* = G' - iG'', wavenumbers k = w/c + i/L with phase speed c and 1/e length L.
 """
@@ -57,12 +57,12 @@ def describe(material: Material, f_Hz: float, thickness_m: float | None = None) 
 
 
 def rayleigh_wavenumber(material: Material, f_Hz: float) -> complex:
-    """Wavenumber of the Rayleigh wave of a viscoelastic half-space at f > 0 [rad/m].
+    """Return the wavenumber of the Rayleigh wave of a viscoelastic half-space at f > 0 [rad/m].
 
     (2 - x)^2 = 4 sqrt(1 - x) sqrt(1 - m x), x = (c/c_s)^2, m = G/(K + 4G/3), squared to the cubic
     x^3 - 8 x^2 + (24 - 16 m) x - 16 (1 - m) = 0 (Achenbach 1973, ch. 5). Valid are roots whose two parts decay with
-    depth and that solve the equation before squaring. Beyond a loss tangent of about 0.16 a second, faster one does too
-    (Currie, Hayes & O'Leary 1977); the one that becomes the root of the elastic solid as the loss vanishes is used.
+    depth and that solve the equation before squaring. Above a loss tangent of about 0.16 there is a second, faster root
+    (Currie, Hayes & O'Leary 1977). The root that becomes that of the elastic solid for vanishing loss is used.
     Raises SceneError for a frequency that is not above 0 and finite.
     """
     check_positive("frequency", f_Hz, "Hz")
@@ -90,7 +90,7 @@ def elastic_root(ratio: float) -> float:
 
 
 def cutoff(material: Material, thickness_m: float) -> float:
-    """Frequency f = c_s(f) / 4h below which a bonded layer of thickness h [m] guides no wave [Hz].
+    """Return the frequency f = c_s(f) / 4h below which a bonded layer of thickness h [m] guides no wave [Hz].
 
     It is the first thickness resonance in shear, with the phase speed of the shear wave at that frequency itself.
     c_s(f) / f falls with f, so there is one. Raises SceneError for a thickness that is not above 0 and finite.
@@ -108,12 +108,12 @@ def cutoff(material: Material, thickness_m: float) -> float:
 
 
 def speed_and_length(wavenumber: complex, omega: float) -> tuple[float, float]:
-    """Phase speed [m/s] and 1/e length [m] of k = w/c + i/L; the length of an undamped wave is infinite."""
+    """Return the phase speed [m/s] and 1/e length [m] of k = w/c + i/L; the length of an undamped wave is infinite."""
     return omega / wavenumber.real, 1.0 / wavenumber.imag if wavenumber.imag > 0.0 else math.inf
 
 
 def decaying(rate: complex) -> complex:
-    """That of +rate and -rate whose real part is not negative."""
+    """Return +rate or -rate, whichever has a real part that is not negative."""
     return -rate if rate.real < 0.0 else rate
 
 

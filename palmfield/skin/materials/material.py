@@ -37,7 +37,7 @@ class Branch:
 
 
 class Relaxation(NamedTuple):
-    """G(s) / G_r = 1 + sum g s tau / (1 + s tau) + t s: what time steppers, and models made for them, take a law for.
+    """G(s) / G_r = 1 + sum g s tau / (1 + s tau) + t s: the form of a law in time steppers and their models.
 
     branches: (g, tau [s]) of each Maxwell branch; viscous_time_s: t = eta / G_r [s]
     """
@@ -47,11 +47,11 @@ class Relaxation(NamedTuple):
 
     @property
     def active(self) -> tuple[tuple[float, float], ...]:
-        """The branches that carry something: they have stiffness and time."""
+        """The branches with stiffness and time above 0."""
         return tuple((ratio, time_s) for ratio, time_s in self.branches if ratio > 0.0 and time_s > 0.0)
 
     def stiffening(self, s: complex | Complex) -> complex | Complex:
-        """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape."""
+        """Return G(s) / G_r at complex rates s [1/s] of e^{st}, any shape."""
         total = 1.0 + self.viscous_time_s * s
         for ratio, time_s in self.branches:
             total = total + ratio * (s * time_s) / (1.0 + s * time_s)
@@ -120,7 +120,7 @@ class Material:
 
     @property
     def law(self) -> tuple[type, Relaxation]:
-        """Equal of materials that relax alike."""
+        """A value that is equal for materials with the same relaxation."""
         return type(self), self.relaxation
 
     @property
@@ -130,25 +130,25 @@ class Material:
 
     @property
     def shear_instant_Pa(self) -> float:
-        """G_r + sum G_i [Pa], the shear modulus at once; with a dashpot it is infinite, which this leaves out."""
+        """G_r + sum G_i [Pa], the instantaneous shear modulus without the dashpot, with which it would be infinite."""
         return self.shear_relaxed_Pa + sum(b.shear_Pa for b in self.series if b.time_s > 0.0)
 
     @property
     def bulk_instant_Pa(self) -> float:
-        """The bulk modulus at once [Pa]."""
+        """The instantaneous bulk modulus [Pa]."""
         return self.bulk_Pa * (self.shear_instant_Pa / self.shear_relaxed_Pa if self.bulk_relaxes else 1.0)
 
     def stiffening(self, s: complex | Complex) -> complex | Complex:
-        """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape; 1 at s = 0."""
+        """Return G(s) / G_r at complex rates s [1/s] of e^{st}, any shape; 1 at s = 0."""
         return self.relaxation.stiffening(s)
 
     def modulus(self, s: complex | Complex) -> complex | Complex:
-        """G(s) [Pa]."""
+        """Return G(s) [Pa]."""
         return self.shear_relaxed_Pa * self.stiffening(s)
 
 
 def bulk_from_poisson(nu: float, shear: float) -> float:
-    """Bulk modulus K = 2 G (1 + nu) / (3 (1 - 2 nu)) [Pa] of Poisson's ratio nu and shear modulus [Pa].
+    """Return the bulk modulus K = 2 G (1 + nu) / (3 (1 - 2 nu)) [Pa] of Poisson's ratio nu and shear modulus [Pa].
 
     Raises SceneError unless -1 < nu < 0.5 and shear > 0.
     """
@@ -244,17 +244,17 @@ def prony(
 
 
 def complex_shear(material: Material, f_Hz: float) -> complex:
-    """Complex shear modulus G' - iG'' [Pa] at f [Hz] under e^{-i w t}."""
+    """Return the complex shear modulus G' - iG'' [Pa] at f [Hz] under e^{-i w t}."""
     return complex(material.modulus(-2j * math.pi * f_Hz))
 
 
 def complex_bulk(material: Material, f_Hz: float) -> complex:
-    """Complex bulk modulus [Pa] at f [Hz] under e^{-i w t}; real unless it follows the shear modulus."""
+    """Return the complex bulk modulus [Pa] at f [Hz] under e^{-i w t}; real unless it follows the shear modulus."""
     return complex(material.bulk_Pa * (material.stiffening(-2j * math.pi * f_Hz) if material.bulk_relaxes else 1.0))
 
 
 def shear_wave(material: Material, f_Hz: float) -> tuple[float, float]:
-    """Phase speed [m/s] and 1/e length of the amplitude [m] of a plane shear wave at f > 0 [Hz].
+    """Return the phase speed [m/s] and 1/e length of the amplitude [m] of a plane shear wave at f > 0 [Hz].
 
     Raises SceneError for f <= 0. The length is infinite where the material is elastic.
     """

@@ -37,7 +37,7 @@ class PronyFit:
     band_Hz: tuple[float, float]
 
     def material(self, name: str, density_kg_m3: float, nu: float = 0.4999, source: str = "") -> Material:
-        """The material of this fit; nu applies to the instantaneous modulus."""
+        """Return the material of this fit; nu applies to the instantaneous modulus."""
         return prony(name, density_kg_m3, self.relaxed_Pa, self.branches_Pa, self.times_s, nu, source=source)
 
 
@@ -63,7 +63,7 @@ def fit_prony(
     target = np.concatenate([(storage - floor) / storage, np.ones(f.size)])
 
     def stiffness(logs: Float) -> tuple[Float, Float]:
-        """G_r - floor and G_i for these log times, and the residual."""
+        """Return G_r - floor and G_i for these log times, and the residual."""
         x = omega[:, None] * np.exp(logs)
         spring = np.concatenate([1.0 / storage if relaxed_Pa is None else np.zeros(f.size), np.zeros(f.size)])
         parts = np.concatenate([x**2 / (1.0 + x**2) / storage[:, None], x / (1.0 + x**2) / loss[:, None]])
@@ -91,7 +91,7 @@ def fit_prony(
 
 
 def fractional_kelvin_voigt(f_Hz: Float, relaxed_Pa: float, coefficient_Pa_s: float, exponent: float) -> Complex:
-    """G(w) = G_0 + C (i w)^a as G' - iG'' [Pa], shape of f_Hz; C in Pa s^a, a in 0..1.
+    """Return G(w) = G_0 + C (i w)^a as G' - iG'' [Pa], shape of f_Hz; C in Pa s^a, a in 0..1.
 
     At high frequency the loss tangent is that of the spring-pot, tan(pi a / 2).
     """

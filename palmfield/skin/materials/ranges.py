@@ -1,4 +1,4 @@
-"""A named material, and how sure its numbers are."""
+"""A named material, and the uncertainty of its numbers."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -39,7 +39,7 @@ class Sizes:
     remesh: bool = False
 
     def scaled(self, factor: float) -> "Sizes":
-        """The same with all elements `factor` times as large; triangles of a layer by whole quarterings."""
+        """Return the same with all elements `factor` times as large; triangles of a layer by whole quarterings."""
         return replace(
             self, fine_m=factor * self.fine_m, coarse_m=factor * self.coarse_m, row_m=factor * self.row_m,
             deepest_row_m=factor * self.deepest_row_m, refinements=max(0, self.refinements - round(math.log2(factor))),
@@ -91,7 +91,7 @@ def box_patch(half_m: Float, thickness_m: float, sizes: Sizes) -> Patch:
 
 
 def _lines(half: float, centre: float, sizes: Sizes) -> Float:
-    """Grid lines from -half to half, their distance growing from the fine part outwards."""
+    """Return the grid lines from -half to half, their distance growing from the fine part outwards."""
     x = np.linspace(-half, half, 2001)
     outside = np.maximum(np.abs(x - centre) - sizes.fine_radius_m, 0.0)
     density = 1.0 / np.minimum(sizes.fine_m + STEEPEST * outside, max(sizes.coarse_m, sizes.fine_m))

@@ -8,16 +8,16 @@ from palmfield.errors import SceneError
 from palmfield.types import Float, Int, Patch, Surface
 
 FACETS = 120
-"""Round the cylinder of a scene: their middles lie 0.03 % of the radius inside it."""
+"""Number of edges round the cylinder of a scene: the middle of an edge lies 0.03 % of the radius inside it."""
 FEWEST = 12
 """Edges round a cylinder, at least; a facet of a 48th of a turn lies 0.2 % of the radius inside it."""
 
 
 def cylinder_patch(radius_m: float, length_m: float, thickness_m: float, edge_m: tuple[float, float]) -> Patch:
-    """The face of a cylinder all round, without its ends: a layer of this thickness on a rigid bone.
+    """Return the face of a cylinder all round, without its ends: a layer of this thickness on a rigid bone.
 
     The axis is x, the middle the origin. Its vertices lie on the cylinder and the edges between them are straight:
-    quartering them makes elements smaller and leaves their outline, so `edge_m` says how round it is.
+    quartering them makes elements smaller and leaves their outline, so `edge_m` determines how round it is.
 
     radius_m: of the face; thickness_m: of the layer, so that the bone has the rest; edge_m: round it and along it [m]
     Returns a Patch whose rim is both ends. Raises SceneError unless all lengths are above 0, the thickness is below
@@ -57,13 +57,13 @@ def cylinder_surface(radius_m: float, length_m: float, edge_m: tuple[float, floa
 
 
 def round_body(radius_m: float, length_m: float) -> Surface:
-    """Surface of a cylinder for a scene: facets of a 120th of a turn, at most four times as long as wide."""
+    """Return the surface of a cylinder for a scene: facets of a 120th of a turn, at most four times as long as wide."""
     around = 2.0 * math.pi * radius_m / FACETS
     return cylinder_surface(radius_m, length_m, (around, min(4.0 * around, length_m)))
 
 
 def _tube(radius_m: float, length_m: float, edge_m: tuple[float, float]) -> tuple[Float, Int, int]:
-    """Vertices ring by ring from low x, faces counter-clockwise from outside, and how many a ring has."""
+    """Return the vertices ring by ring from low x, faces counter-clockwise from outside, and how many a ring has."""
     around = max(FEWEST, math.ceil(2.0 * math.pi * radius_m / edge_m[0]))
     rings = max(2, math.ceil(length_m / edge_m[1])) + 1
     # Every other ring is rotated by half an edge, so that the mesh has no preferred direction

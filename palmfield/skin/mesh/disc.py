@@ -50,7 +50,7 @@ def disc_patch(
 
 
 def flat_patch(points: Float, faces: Int, thickness_m: float, rim: NDArray[np.bool_]) -> Patch:
-    """A face at z = 0 looking along +z, of vertices (n, 2) [m], over a layer of one thickness."""
+    """Return a face at z = 0 looking along +z, of vertices (n, 2) [m], over a layer of one thickness."""
     count = len(points)
     return Patch(
         vertices=np.column_stack([points, np.zeros(count)]),
@@ -86,7 +86,7 @@ def _ringed(radius_m: float, fine_m: float, coarse_m: float, fine_radius_m: floa
 def _round(
     radius_m: float, fine_m: float, coarse_m: float, fine_radius_m: float, fine_at: tuple[float, float]
 ) -> tuple[Float, Int]:
-    """Vertices and faces of a disc with fine edges round a place off its centre."""
+    """Return the vertices and faces of a disc with fine edges round a place off its centre."""
     away = math.hypot(*fine_at)
     grown = min(coarse_m, fine_m + STEEPEST * max(radius_m + away - fine_radius_m, 0.0))
     size = graded_size(fine_m, grown, fine_radius_m, radius_m, fine_at)

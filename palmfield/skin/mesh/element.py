@@ -21,7 +21,7 @@ EDGES = np.array([[0, 1], [1, 2], [2, 0]])
 
 
 def triangle_rule() -> tuple[Float, Float]:
-    """Six points (6, 2) and weights (6,) on the reference triangle, exact to degree 4 (Dunavant 1985)."""
+    """Return six points (6, 2) and weights (6,) on the reference triangle, exact to degree 4 (Dunavant 1985)."""
     a, b = 0.445948490915965, 0.091576213509771
     wa, wb = 0.223381589678011, 0.109951743655322
     points = [(p, q) for s in (a, b) for p, q in ((s, s), (1 - 2 * s, s), (s, 1 - 2 * s))]
@@ -29,7 +29,7 @@ def triangle_rule() -> tuple[Float, Float]:
 
 
 def triangle_shape(points: Float) -> Float:
-    """Values of the six quadratic shape functions at points (q, 2); shape (q, 6)."""
+    """Return the values of the six quadratic shape functions at points (q, 2); shape (q, 6)."""
     b = _barycentric(points)
     return np.concatenate([b * (2 * b - 1), 4 * b[:, EDGES[:, 0]] * b[:, EDGES[:, 1]]], axis=1)
 
@@ -49,7 +49,7 @@ def _barycentric(points: Float) -> Float:
 
 
 def prism_rule() -> tuple[Float, Float]:
-    """Eighteen points (18, 3) and weights (18,): the six of the triangle times three Gauss points."""
+    """Return eighteen points (18, 3) and weights (18,): the six of the triangle times three Gauss points."""
     points, weights = triangle_rule()
     zeta, line = np.polynomial.legendre.leggauss(3)
     prism = np.column_stack([np.tile(points, (3, 1)), np.repeat(zeta, 6)])
@@ -65,7 +65,7 @@ def displacement_shape(points: Float) -> tuple[Float, Float]:
 
 
 def corner_slopes(points: Float) -> Float:
-    """Derivatives by (xi, eta, zeta) of the six corner functions of the geometry, shape (q, 6, 3)."""
+    """Return the derivatives by (xi, eta, zeta) of the six corner functions of the geometry, shape (q, 6, 3)."""
     z = points[:, 2]
     line = np.column_stack([(1 - z) / 2, (1 + z) / 2])
     line_slope = np.broadcast_to([-0.5, 0.5], line.shape)
@@ -83,6 +83,6 @@ def _product(flat: Float, flat_slopes: Float, line: Float, line_slope: Float) ->
 
 
 def volume_basis(points: Float) -> Float:
-    """Values of the functions on which the volumetric strain is projected, shape (q, 6)."""
+    """Return the values of the functions on which the volumetric strain is projected, shape (q, 6)."""
     flat = np.column_stack([np.ones(len(points)), points[:, :2] - 1.0 / 3.0])
     return np.concatenate([flat, flat * points[:, 2:]], axis=1)

@@ -22,13 +22,13 @@ from palmfield.types import Float, Int
 DIRECTIONS = 4
 """Trial directions of the cut of a piece."""
 PLACES = (0.42, 0.46, 0.5, 0.54, 0.58)
-"""Shares of its triangles before the cut, on trial."""
+"""Shares of the triangles of a piece before the cut that are tried."""
 SMALLEST = 3
-"""Nodes that are not cut further."""
+"""Number of nodes of a piece up to which it is not cut further."""
 
 
 def dissection_order(mesh: WedgeMesh, surface_node: Int) -> Int:
-    """Permutation of unknowns, shape (n,): old index by new place.
+    """Return the permutation of unknowns, shape (n,): old index by new place.
 
     surface_node: surface node under which each unknown lies, shape (n,)
     The layer is thin, so its surface alone is dissected, all unknowns under one surface node staying together. A piece
@@ -47,7 +47,7 @@ def dissection_order(mesh: WedgeMesh, surface_node: Int) -> Int:
 
 
 def _dissect(triangles: Int, middles: Float, piece: Int, pending: np.ndarray) -> list[Int]:
-    """Nodes of a piece in order of elimination, its separator last; they are struck off `pending` (S,)."""
+    """Return the nodes of a piece in order of elimination, its separator last; they are struck off `pending` (S,)."""
     nodes = np.unique(triangles[piece])
     nodes = nodes[pending[nodes]]
     if len(piece) == 1 or len(nodes) <= SMALLEST:

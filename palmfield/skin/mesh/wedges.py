@@ -35,7 +35,7 @@ class WedgeMesh:
     axis: Float | None
 
     def surface_normals(self, level: int = 0) -> Float:
-        """Unit outward normals of one level, the area-weighted mean of its triangles, shape (S, 3)."""
+        """Return the unit outward normals of one level, shape (S, 3): area-weighted means over adjacent triangles."""
         points = self.nodes[level * self.surface_nodes : (level + 1) * self.surface_nodes]
         a, b, c = (points[self.surface_triangles6[:, i]] for i in range(3))
         area = np.cross(b - a, c - a)

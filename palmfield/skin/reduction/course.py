@@ -1,4 +1,4 @@
-"""Loads with a known time course: harmonics that start and end at once or exponentially."""
+"""Loads with a given time course: harmonics that start and end at once or exponentially."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ class Course:
 
 
 def periodic(shapes: Complex, frequencies_Hz: Float, events: list[tuple[float, Fade]]) -> Course:
-    """Sum over k of Re(F_k e^{-i w_k t}) that fades in or out.
+    """Return the sum over k of Re(F_k e^{-i w_k t}) that fades in or out.
 
     shapes: F_k [N], shape (n, k); frequencies_Hz: >= 0, shape (k,)
     events: for each, its time t [s] and its fade
@@ -54,5 +54,5 @@ def harmonics(frequencies_Hz: Float, times: Float) -> Float:
 
 
 def level(fade: Fade, times: Float) -> Float:
-    """Factor of the load at times [s] after the event, shape (t,)."""
+    """Return the factor of the load at times [s] after the event, shape (t,)."""
     return np.sum([share * np.exp(-rate * times) for rate, share in fade], axis=0)

@@ -18,7 +18,7 @@ from warp_kernels import skin_steps as kernels
 LEAST_NUMBERS = 2**18
 """Size of a reduced model's step matrix below which a CPU takes no longer than a launch."""
 MOST_NUMBERS = 2**23
-"""Above which its substeps one by one take less memory and no more time."""
+"""Size above which single substeps take less memory and no more time."""
 CHUNK = 32
 """Number of terms of a sum that one thread adds up."""
 SECTIONS = 4
@@ -84,7 +84,7 @@ class DeviceModes:
 
 
 def pays(size: int, shapes: int, substeps: int) -> bool:
-    """Whether a reduced model with these numbers of coordinates and force shapes is faster on a device."""
+    """Return whether a reduced model with these numbers of coordinates and force shapes is faster on a device."""
     return LEAST_NUMBERS <= size * (size + 2 * substeps * shapes) <= MOST_NUMBERS
 
 

@@ -64,7 +64,7 @@ class DeviceWorlds:
         return None if work.motion is None else work.motion.host[:worlds]
 
     def _work(self, substeps: int, observe: Reader | None) -> "_Work":
-        """Memory and graph for this number of substeps, read by `observe`; stored."""
+        """Return the memory and graph for this number of substeps, read by `observe`; stored."""
         stepper, device = self.stepper, self._device
         rows, padded = stepper.state_rows, stepper.padded
         mixed = SharedArray((self.most, substeps), wp.float32, device)

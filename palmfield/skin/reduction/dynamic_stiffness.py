@@ -19,7 +19,7 @@ class DynamicStiffness:
         self.size = self.matrices[0].shape[0]
 
     def weights(self, s: Complex) -> Complex:
-        """Factors of mass, damping, elastic and parts in Z at rates s [1/s], (k,); shape (k, 3 + p)."""
+        """Return the factors of mass, damping, elastic and parts in Z at rates s [1/s], (k,); shape (k, 3 + p)."""
         one = np.ones_like(s)
         laws = (material.relaxation.stiffening(s) * one for material in self.materials)
         return np.stack([s**2, s, one, *laws], axis=-1)

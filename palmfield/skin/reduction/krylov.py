@@ -40,9 +40,9 @@ SMALLEST = 1e-10
 SHIFT = 0.6
 """Share of the highest relevant angular frequency: with it solutions from 0 to that frequency converge together."""
 ROUND = 8
-"""Vectors by which two models that are compared differ, at least."""
+"""Least difference of the numbers of vectors of two compared models."""
 SAFETY = 1.5
-"""Times the last change: with a circle on the palm, on large elements, the true error was up to 1.3 times that."""
+"""Factor on the last change. With a circle on the palm, on large elements, the error was up to 1.3 times it."""
 
 T = TypeVar("T")
 
@@ -206,7 +206,7 @@ class Krylov:
 
 
 class TooManyVectorsError(SceneError):
-    """A tolerance that a model of the largest allowed size does not reach. reached: the trial of that model"""
+    """The model of the largest allowed size does not reach the tolerance. reached: the trial of that model"""
 
     def __init__(self, message: str, reached: object = None) -> None:
         super().__init__(message)
@@ -214,7 +214,7 @@ class TooManyVectorsError(SceneError):
 
 
 def grown(krylov: Krylov, vectors: int) -> bool:
-    """Grow a space by this number of vectors or more; False where it has ended."""
+    """Grow a space by this number of vectors or more; return False if it cannot grow."""
     target, growing = krylov.order + vectors, True
     while growing and krylov.order < target:
         growing = krylov.grow() > 0
@@ -280,7 +280,7 @@ def _times(halves: Sequence[Any], columns: Float) -> Float:
 
 
 def _adjoint(vectors: Float, columns: Float) -> Float:
-    """vectors.T @ columns, (n, r) and (n, k), by two threads."""
+    """Return vectors.T @ columns, (n, r) and (n, k), by two threads."""
     parts: list[Any] = [None, None]
     of_vectors, of_columns = _halves(vectors), _halves(columns)
 
@@ -292,6 +292,6 @@ def _adjoint(vectors: Float, columns: Float) -> Float:
 
 
 def _padded(rows: Any, count: int) -> Any:
-    """Coordinates (c, r, k) in a basis that has grown to `count` vectors."""
+    """Return the coordinates (c, r, k) in a basis that has grown to `count` vectors."""
     missing = count - rows.shape[1]
     return np.concatenate([rows, np.zeros((rows.shape[0], missing, rows.shape[2]))], axis=1)

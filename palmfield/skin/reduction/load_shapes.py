@@ -30,8 +30,9 @@ ROWS = 512
 CLOSENESS = 0.003
 """Share of the tolerance that the examples with which the search for singular vectors begins may omit at most."""
 SPARE, TURNS = 1.25, 3
-"""Number of these examples, in terms of those that omit just the tolerance; and products with all examples, that turn
-their span to the singular vectors, so well that the points are those of exact ones."""
+"""Number of these examples, relative to the number that just omits the tolerance; and number of products with all
+examples. These products rotate the span to the singular vectors, so accurately that the points are the same as for
+exact vectors."""
 LEVEL = 0.005
 """Relative difference of neighbouring singular values up to which they count as equal: all are kept, or none."""
 TIE = 1e-3

@@ -1,9 +1,9 @@
 """Steps a skin by modes for all loads of a class: any time course of any sum of its shapes.
 
-The modes move by the scheme that steps the whole layer (palmfield.skin.fem.generalised_alpha), so that a state can go
-over to the whole layer as it is. Under one relaxation law each moves by itself. Several laws couple them: they are then
-the eigenvectors of the matrix that a substep solves with, and what couples them pushes each by the motion of all before
-the substep, one dense product for each law but one. The pressure is looked at in few points of the skin.
+The modes move by the scheme that steps the whole layer (palmfield.skin.fem.generalised_alpha), so that the whole layer
+can continue from a state without change. Under one relaxation law each moves by itself. Several laws couple them: they
+are then the eigenvectors of the matrix that a substep solves with, and what couples them pushes each by the motion of
+all before the substep, one dense product for each law but one. The pressure is evaluated at few points of the skin.
 """
 
 from collections.abc import Callable, Sequence
@@ -72,7 +72,7 @@ def modal_body(
     step_s: float,
     points: int = POINTS,
 ) -> ModalBody:
-    """Modes of a layer for the class of loads given by examples, from one real factorisation.
+    """Return the modes of a layer for the class of loads given by examples, from one real factorisation.
 
     surface: operator of the displacement that must be right, csr, (S, n).
     examples: pressures at the quadrature points [Pa], shape (t, q). depends_on: all data on which they depend.

@@ -62,11 +62,11 @@ class PointModel:
         return complex(self.projection.harmonic(f_Hz)[0])
 
     def discrete(self, f_Hz: float, step_s: float) -> complex:
-        """Return the same of the steady state of WedgeStepper with substeps of `step_s` [s], f_Hz > 0."""
+        """Return the complex displacement in the steady state of WedgeStepper, substeps of `step_s` [s]; f_Hz > 0."""
         return complex(self.projection.moved(*discrete_weights(self.projection.materials, f_Hz, step_s))[0])
 
     def moved(self, level: Float, times: Float) -> Float:
-        """Displacement [m] at times [s], rising, (t,), from rest at the first, exact in time.
+        """Return the displacement [m] at times [s], rising, (t,), from rest at the first, exact in time.
 
         level: factor of the force at these times, linear between them, (t,)
         """

@@ -49,7 +49,7 @@ class Reduced:
         return self.rates.shape[0]
 
     def new_state(self) -> Float:
-        """A body at rest, shape (state_size,)."""
+        """Return a body at rest, shape (state_size,)."""
         return np.zeros(self.state_size)
 
     def step(self, state: Float, force_start: Float, force_end: Float, step_s: float) -> None:
@@ -106,20 +106,20 @@ class Reduced:
         return Decoupled(there, back, grow, fall, start.T @ there, end.T @ there)
 
     def displacement(self, state: Float) -> Float:
-        """y [m], shape (k,)."""
+        """Return y [m], shape (k,)."""
         return self.displaces @ state
 
     def velocity(self, state: Float) -> Float:
-        """y' [m/s], shape (k,)."""
+        """Return y' [m/s], shape (k,)."""
         return self.moves @ state
 
     def transfer(self, f_Hz: float) -> Complex:
-        """y per unit force under e^{-i w t}, shape (k, j)."""
+        """Return y per unit force under e^{-i w t}, shape (k, j)."""
         s = -2j * np.pi * f_Hz
         return self.displaces @ np.linalg.solve(s * np.eye(self.state_size) - self.rates, self.inputs)
 
     def run(self, forces: Any, times: Float, law: "Law" = "linear") -> tuple[Any, Any]:
-        """y [m] and y' [m/s] at times [s], rising, (t,), of a body at rest at the first, both (t, k).
+        """Return y [m] and y' [m/s] at times [s], rising, (t,), of a body at rest at the first, both (t, k).
 
         forces: real or complex, shape (t, j): "linear" between the times, or "held" at that of the earlier one.
         Exact in time: the modes of A where they are well conditioned, else a matrix exponential for each step length.
@@ -155,7 +155,7 @@ class Reduced:
         return states
 
     def propagators(self, step_s: float) -> tuple[Float, Float, Float]:
-        """exp(A h) and the integrals for the force at the start and at the end of the step (Van Loan 1978)."""
+        """Return exp(A h) and the integrals for the force at the start and at the end of the step (Van Loan 1978)."""
         found = self._steps.get(step_s)
         if found is None:
             if len(self._steps) >= MOST_STEPS:
@@ -210,7 +210,7 @@ class _Modes:
 
 
 def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Float]]:
-    """A, B of x' = A x + B f, the rows that read y and y' off x, in coordinates of energy, and rows for each q.
+    """Return A, B of x' = A x + B f, the rows that read y and y' off x, in coordinates of energy, and rows for each q.
 
     The last: for each branch of each part, the coordinates in V of its internal displacement.
     """
@@ -263,7 +263,7 @@ def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Fl
 
 
 def _modal_run(roots: Complex, forces: Complex, lengths: Float, which: Any, law: "Law") -> Complex:
-    """Modes (t, m) from rest under modal forces (t, m)."""
+    """Return the modes (t, m) from rest under modal forces (t, m)."""
     states = np.zeros(forces.shape, dtype=complex)
     tables: dict[int, tuple[Complex, Complex, Complex]] = {}
     for n, length in enumerate(which.tolist()):

@@ -214,7 +214,7 @@ class ReducedStepper(SkinStepper):
             return self._read(state, reader)
 
     def motion(self, states: Float) -> Float:
-        """Displacement and velocity as coordinates in V, shape (s, 2, r), of states (s, state_size)."""
+        """Return the displacement and velocity as coordinates in V, shape (s, 2, r), of states (s, state_size)."""
         result = np.empty((len(states), 2, self.order))
         np.matmul(states[:, : self.order], self._moved.T, out=result[:, 0])
         np.matmul(states[:, self.order : 2 * self.order], self._moves.T, out=result[:, 1])
@@ -307,7 +307,7 @@ def known_model(
     highest_Hz: float,
     tolerance: float,
 ) -> tuple[Projection, Float, float, bool]:
-    """The body in its vectors V, V (n, r), the error, and whether the model holds for any course of the load.
+    """Return the body in its vectors V, V (n, r), the error, and whether the model is valid for any course of the load.
 
     mark: the digest of the predicted load, which is made only if the cache (`palmfield.cache`) has no entry
     """

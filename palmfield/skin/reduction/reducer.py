@@ -14,7 +14,7 @@ from palmfield.skin.reduction.reduced import Reduced
 from palmfield.types import Complex, Int
 
 WEAK = 0.1
-"""Share of the largest response to which the error of weaker ones is related."""
+"""Share of the largest response to which the errors of weaker responses are related."""
 
 
 def reduce(
@@ -39,7 +39,7 @@ def reduce(
         at low w: sharper resonances have this width. Relative to the largest response at this or a higher frequency, or
         WEAK times the largest of all.
     order: elimination order of the unknowns, shape (n,), for the factor; None lets SuperLU choose.
-    beyond: grow once more after that: the reference for another model then has a smaller error than that model.
+    beyond: grow once more after that, so that the model can be the reference for another model.
     Raises SceneError for shapes that do not fit, a tolerance or band outside these ranges, or no end at most_vectors.
     """
     forces = np.asarray(inputs.toarray() if sparse.issparse(inputs) else inputs, dtype=float)
@@ -57,7 +57,7 @@ def reduce(
     weights = dynamics.weights(0.5 * np.gradient(omega) + 1j * omega)
 
     def responses() -> Complex:
-        """Y Z(s)^-1 B of the model along the line, shape (points, k, j)."""
+        """Return Y Z(s)^-1 B of the model along the line, shape (points, k, j)."""
         small = np.tensordot(weights, np.array(krylov.projected), axes=1)
         pushed = (krylov.vectors.T @ forces).astype(complex)
         return (read @ krylov.vectors) @ np.linalg.solve(small, pushed[None])

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from palmfield.skin.fem.factor import AnyFactor
 
 RATE_Hz = 400.0
-"""w / 2 pi. A lower one does not settle short waves, a higher one does not reach out into the skin."""
+"""Rate w / 2 pi [Hz]. At a lower rate short waves do not converge; at a higher one vectors stay near the face."""
 RELAXED_Hz = 100.0
-"""The same for several laws, in the relaxed state."""
+"""Rate w / 2 pi for several laws, in the relaxed state [Hz]."""
 PARALLEL = 0.01
 """Part of a block below which the new part of a direction, for loads of the sizes of the class, is left out."""
 COUPLED, COUPLED_SHARE = 0.01, 0.5
@@ -51,13 +51,13 @@ CHUNK, LONG = 256, 2048
 FREQUENCIES_Hz: Float = np.concatenate([[0.0], np.geomspace(20.0, 4000.0, 32)])
 """Frequencies at which models are compared."""
 HIGHEST_Hz = 4000.0
-"""Modes above it, that would be stiff and coupled pressure waves, are left out."""
+"""Frequency above which modes are omitted, since they would be stiff, coupled pressure waves."""
 SAFETY, TOGETHER = 1.25, 1.4
 """Factor on that change; and a second one for several laws, whose modes converge more slowly from block to block."""
 LINES_Hz: Float = np.linspace(0.0, 2500.0, 251)
 """Frequencies at which the motion is summed up to separate strong modes from weak ones."""
 CORNER_Hz = 500.0
-"""Above which the loads' spectrum falls there as 1/f."""
+"""Frequency above which the spectrum of the loads falls as 1/f there."""
 TRIALS = 16
 """Random sums of the shapes under which two models are compared."""
 
@@ -84,8 +84,8 @@ class RitzModes:
     change: Float
 
     def errors(self, corner_Hz: float) -> tuple[float, float]:
-        """Relative error of displacement and velocity, estimated, under loads whose spectrum falls as 1/f above a
-        corner frequency, as that of sudden changes; rms over the surface and the spectrum."""
+        """Return the estimated relative errors of displacement and velocity, rms over surface and spectrum. The
+        spectrum of the loads falls as 1/f above a corner frequency, like that of sudden changes."""
         spectrum = 1.0 / (1.0 + (FREQUENCIES_Hz / corner_Hz) ** 2)
         rates = spectrum * FREQUENCIES_Hz**2
 
@@ -97,14 +97,14 @@ class RitzModes:
 
 
 def refusal(system: SkinSystem) -> str | None:
-    """Why a body can't be turned to modes, in words, or None."""
+    """Return why a body cannot have modes, in words, or None."""
     if system.damping.nnz:
         return "absorbing sides or dashpots couple the modes"
     return None
 
 
 def shifted(system: SkinSystem, *, relaxed: bool = False) -> sparse.csr_matrix:
-    """A, symmetric positive definite, shape (n, n) [N/m]; relaxed: as if all branches were, at a lower rate."""
+    """Return A, symmetric positive definite, shape (n, n) [N/m]; relaxed: branches relaxed, at a lower rate."""
     laws = (part.material.relaxation.branches for part in system.parts)
     weights = [1.0 if relaxed else 1.0 + 0.5 * sum(ratio for ratio, _ in law) for law in laws]
     stiff = sum(weight * part.stiffness for weight, part in zip(weights, system.parts, strict=True))
@@ -200,7 +200,7 @@ def ritz_modes(
 
 
 def laws_at(materials: Sequence[Material], s: complex) -> Complex:
-    """1, of the elastic stiffness, and G(s) / G_r of each material at a rate s [1/s], shape (1 + p,)."""
+    """Return 1 for the elastic stiffness, then G(s) / G_r of each material at a rate s [1/s], shape (1 + p,)."""
     return np.array([1.0, *(material.relaxation.stiffening(s) for material in materials)], dtype=complex)
 
 
@@ -224,7 +224,7 @@ class _Modes:
         return share
 
     def between(self, number: int) -> Float:
-        """The coupling by one of the matrices, (r, r)."""
+        """Return the coupling by one of the matrices, (r, r)."""
         return self.matrices[number] - np.diag(np.diagonal(self.matrices[number]))
 
     def of(self, means: Float) -> Float:
@@ -245,7 +245,7 @@ class _Modes:
         return result
 
     def answers(self, coupled: Sequence[int], force: Float, watched: Float) -> Complex:
-        """Harmonic motion of what is seen, shape (f, S, trials), at FREQUENCIES_Hz."""
+        """Return the harmonic motion of what is seen, shape (f, S, trials), at FREQUENCIES_Hz."""
         if not coupled:
             return _answers(self._materials, self.rigidities, force, watched)
         return np.array([watched @ np.linalg.solve(self.at(f, coupled), force) for f in FREQUENCIES_Hz])
@@ -277,7 +277,7 @@ def _rigidities(values: Float, diagonals: Sequence[Float], means: Float) -> Floa
 
 
 def _motion_alone(materials: Sequence[Material], rigidities: Float, pushed: Float) -> Float:
-    """Products of the motions of modes that move by themselves, over all loads and LINES_Hz, (r, r).
+    """Return the products of the motions of modes that move by themselves, over all loads and LINES_Hz, (r, r).
 
     rigidities: see `_Modes`; pushed: forces of loads on the modes, (r, m)
     """
@@ -290,7 +290,7 @@ def _motion_alone(materials: Sequence[Material], rigidities: Float, pushed: Floa
 
 
 def _motion_together(modes: _Modes, pushed: Float, trials: Float, seen: Float) -> tuple[Float, Complex]:
-    """The same of modes that are coupled by the laws, at FREQUENCIES_Hz, and the harmonic motion under trials.
+    """Return the same of modes that are coupled by the laws, at FREQUENCIES_Hz, and the harmonic motion under trials.
 
     trials: sums of the loads, (m, trials); seen: reads the modes, (S, r). Returns (r, r) and (f, S, trials).
     """
@@ -308,7 +308,7 @@ def _motion_together(modes: _Modes, pushed: Float, trials: Float, seen: Float) -
 
 
 def _strongest(gram: Float, rigidities: Float, omitted: float) -> Float:
-    """Sums of modes that take most part in the motion: orthonormal, shape (r, k).
+    """Return the sums of modes that take most part in the motion: orthonormal, shape (r, k).
 
     gram: products of the modes' motions, (r, r); rigidities: see `_Modes`
     omitted: share of the motion in the energy norm, over loads and spectrum
@@ -323,7 +323,7 @@ def _strongest(gram: Float, rigidities: Float, omitted: float) -> Float:
 def _lanczos(
     mass: sparse.csr_matrix, factor: "AnyFactor", forces: Float, blocks: int, also: Float
 ) -> tuple[Float32, list[int]]:
-    """The space, orthonormal in the mass, shape (n, r), and how many vectors it has after each block.
+    """Return the space, orthonormal in the mass, shape (n, r), and how many vectors it has after each block.
 
     also: motions in the first block as well as the solutions for the forces, (n, a)
     Directions of a block keep the size that the forces give them, so that those of small ones are left out.
@@ -365,7 +365,7 @@ def _remove(basis: Float32, vectors: Float, heavy: Float) -> None:
 
 
 def _projected(matrix: sparse.csr_matrix, space: Float32) -> Float:
-    """space^T matrix space, symmetric, shape (r, r)."""
+    """Return space^T matrix space, symmetric, shape (r, r)."""
     result = np.empty((space.shape[1],) * 2)
 
     def project(part: slice) -> None:
@@ -378,7 +378,7 @@ def _projected(matrix: sparse.csr_matrix, space: Float32) -> Float:
 
 
 def _answers(materials: Sequence[Material], rigidities: Float, pushed: Float, seen: Float) -> Complex:
-    """Harmonic motion of what is seen at FREQUENCIES_Hz, shape (f, S, trials), each mode by itself."""
+    """Return the harmonic motion of what is seen at FREQUENCIES_Hz, shape (f, S, trials), each mode by itself."""
     result = []
     for f in FREQUENCIES_Hz:
         s = -2j * np.pi * f

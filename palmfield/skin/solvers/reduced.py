@@ -33,22 +33,21 @@ from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int
 
 MOST_SHAPES = 8
-"""Patterns of a load above which its models are no longer small."""
+"""Largest number of patterns of a load for a small model."""
 
 MOST_VECTORS = 300
 SHARE = 0.1
-"""Part of the target accuracy that the reduction may take."""
+"""Largest part of the target accuracy for the error of the reduction."""
 
 VECTORS = 33.0
-"""Vectors that a model takes, about."""
+"""Approximate number of vectors of a model."""
 
 SAME_LENGTH = 1e-9
-"""Of the time of the whole run, by which the lengths of two steps may differ and count as one: round-off of the times
-that were given."""
+"""Largest difference of the lengths of two equal steps, relative to the duration of the run: round-off."""
 
 
 def refusal_reduced(body: Body, load: Load) -> str | None:
-    """Why this solver can't, in a sentence, or None."""
+    """Return why this solver refuses a problem, in a sentence, or None."""
     if isinstance(load, Spot) and len(np.unique(load.centres(), axis=0)) > 1:
         return "a reduced model needs loads of constant shape, but this spot moves"
     if isinstance(load, Traction) and at_least(load) > MOST_SHAPES:
@@ -73,15 +72,16 @@ def patterns(load: Traction) -> tuple[Float, Float]:
 
 
 def cost_reduced(problem: SkinProblem) -> float:
-    """Predicted time [s] on one core, to a factor of a few."""
+    """Return the predicted time [s] on one core, to a factor of a few."""
     dofs = last_dofs(problem)
     return 0.2 + 1.15 * (assembly_s(dofs) + reduced_s(dofs, len(problem.times) + len(problem.load.times_s), VECTORS))
 
 
 def solve_reduced(problem: SkinProblem) -> Motion:
-    """Displacement and velocity of the skin under a load that keeps its shape, from rest; on the CPU.
+    """Return the displacement and velocity of the skin under a load that keeps its shape, from rest; on the CPU.
 
-    Raises SceneError for what refusal_reduced names, an inverted element, points off the face, and bad numbers.
+    Raises SceneError if refusal_reduced returns a reason, for an inverted element, points off the face, and bad
+    numbers.
     """
     begin = time.perf_counter()
     body, load, accuracy, judged = problem.body, problem.load, problem.accuracy, problem.judged
@@ -139,7 +139,7 @@ def _run(
     krylov = Krylov(DynamicStiffness(system, system.elimination_order()), shift, shapes)
 
     def motion() -> Float:
-        """Displacement and velocity at the requested times, (2, t, n, 3)."""
+        """Return the displacement and velocity at the requested times, (2, t, n, 3)."""
         unit = np.eye(krylov.order)
         small = Projection(krylov.projected, krylov.dynamics.materials, krylov.vectors.T @ shapes, unit)
         stepper = ReducedStepper(small, krylov.vectors, np.eye(shapes.shape[1]), None, common_length(clock), 0.0, True)
@@ -174,7 +174,7 @@ def course(load: Load, weights: Float, requested: Float) -> tuple[Float, Float, 
 
 
 def common_length(clock: Float) -> float:
-    """The most common distance of neighbouring times [s], to round-off; 1 for a single time."""
+    """Return the most common distance of neighbouring times [s], to round-off; 1 for a single time."""
     if len(clock) < 2:
         return 1.0
     lengths = np.diff(clock)
@@ -184,7 +184,7 @@ def common_length(clock: Float) -> float:
 
 
 def carried(stepper: ReducedStepper, read: Float, clock: Float, weights: Float, law: str) -> Float:
-    """Displacement [m] and velocity [m/s] from rest at the times of the clock, shape (c, 2, m).
+    """Return the displacement [m] and velocity [m/s] from rest at the times of the clock, shape (c, 2, m).
 
     weights: of the inputs at these times, (c, k), "linear" in between or "held" at that of the earlier one
     Steps of one length are taken in one call.

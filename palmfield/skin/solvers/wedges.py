@@ -42,7 +42,7 @@ from palmfield.types import Float
 
 
 def refusal_wedges(body: Body, load: Load) -> str | None:
-    """Why this solver can't, in a sentence, or None."""
+    """Return why this solver refuses a problem, in a sentence, or None."""
     if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
         return NEEDS_AXIS
     turned = refusal_of_spot(body, load)
@@ -58,7 +58,7 @@ def refusal_wedges(body: Body, load: Load) -> str | None:
 
 
 def cost_wedges(problem: SkinProblem) -> float:
-    """Predicted time [s] on one core.
+    """Return the predicted time [s] on one core.
 
     The time of a run is known to a factor of 1.5, the sizes of mesh and steps that it needs only to one of 4.
     """
@@ -71,7 +71,7 @@ def cost_wedges(problem: SkinProblem) -> float:
 
 
 def last_dofs(problem: SkinProblem) -> float:
-    """Expected number of unknowns of the finest mesh of a solution."""
+    """Return the expected number of unknowns of the finest mesh of a solution."""
     body, load, points, accuracy = problem.body, problem.load, problem.at, problem.accuracy
     first = expected_dofs(body, first_sizes(body, load, points, accuracy))
     if not isinstance(body, Slab):
@@ -85,12 +85,13 @@ def last_dofs(problem: SkinProblem) -> float:
 
 
 OFTEN_DOFS, THIN = 4.5e3, 0.4
-"""Unknowns of the last mesh of a slab, seldom many fewer: with few elements two meshes give poor estimates. Also the
-depth over the width of the load below which they grow: 22 and 12 times at 0.13 and 0.22, 2 and 11 at 0.3 (4 maps)."""
+"""Typical least number of unknowns of the last mesh of a slab, since two meshes of few elements give poor estimates.
+Also the ratio of depth to width of the load below which this number grows: 22 and 12 times at 0.13 and 0.22, 2 and 11
+at 0.3 (4 maps)."""
 
 
 def run_cost(dofs: float, steps: float) -> float:
-    """Time [s] to build, factorise and step a mesh on one core."""
+    """Return the time [s] to build, factorise and step a mesh on one core."""
     return assembly_s(dofs) + wedges_s(dofs, steps)
 
 
@@ -109,20 +110,21 @@ TOGETHER = 32
 """Substeps that are taken in one call."""
 
 NARROWEST = 3.0
-"""Edges that must fit across a patch for that."""
+"""Least number of such edges across a patch for this replacement."""
 
 GROWTH, EDGE_GROWTH, ENDLESS_GROWTH = 1.7, 6.0, 10.0
-"""Unknowns of the last mesh over those first expected, at 5 %: 1.3 to 2.4 on four discs of 2 to 10 %; 4 to 30 on three
-with a singular fixed edge; 7 to 20 on three endless slabs, widened. The triangles of a layer are quartered first."""
+"""Ratio of the unknowns of the last mesh to the first estimate, at 5 %: 1.3 to 2.4 on four discs of 2 to 10 %; 4 to 30
+on three with a singular fixed edge; 7 to 20 on three endless slabs, widened. The triangles of a layer are quartered
+first."""
 
 
 def solve_wedges(
     problem: SkinProblem, *, sizes: Sizes | None = None, step_s: float | None = None, rho_inf: float = RHO_INF
 ) -> Motion:
-    """Displacement and velocity of the skin under a load, from rest; on the CPU.
+    """Return the displacement and velocity of the skin under a load, from rest; on the CPU.
 
     sizes, step_s: to pin mesh and step [s] instead of choosing them; rho_inf: see WedgeStepper
-    Raises SceneError for what refusal_wedges names, an inverted element, points off the face, and bad numbers.
+    Raises SceneError if refusal_wedges returns a reason, for an inverted element, points off the face, and bad numbers.
     """
     begin = time.perf_counter()
     body, load, accuracy, judged = problem.body, problem.load, problem.accuracy, problem.judged
@@ -162,7 +164,7 @@ def solve_wedges(
 
 
 def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, sizes: Sizes | None = None) -> Motion:
-    """Displacement under the last pressure of the load, held for ever; times_s is its last time, the velocity 0.
+    """Displacement under the last pressure of the load, held constant; times_s is its last time, the velocity 0.
 
     Arguments as for solve_wedges. Raises SceneError also for a body without a support.
     """
@@ -244,7 +246,7 @@ def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes
 
 
 def expected_dofs(body: Body, sizes: Sizes) -> float:
-    """Expected number of unknowns of the mesh of a body."""
+    """Return the expected number of unknowns of the mesh of a body."""
     depth = depth_of(body)
     if isinstance(body, Layer) and not sizes.remesh:
         triangles = len(body.patch.faces) * 4.0**sizes.refinements
@@ -267,7 +269,7 @@ def expected_dofs(body: Body, sizes: Sizes) -> float:
 
 
 def slowest_wave(body: Body, f_Hz: float) -> float:
-    """Shear speed [m/s] in the slowest sheet at f_Hz, at most OVERDAMPED times that without dashpots."""
+    """Return the shear speed [m/s] in the slowest sheet at f_Hz, at most OVERDAMPED times that without dashpots."""
     return min(
         min(shear_wave(m, f_Hz)[0], OVERDAMPED * math.sqrt(m.shear_instant_Pa / m.density_kg_m3))
         for m in (sheet.material for sheet in body.sheets)
@@ -306,13 +308,13 @@ def _run(body: Body, load: Load, requested: Float, points: Float, discretisation
 
 
 def on_mesh(system: SkinSystem, displacement: Float, velocity: Float, normals: Float) -> MeshSolution:
-    """A solution on the mesh of a system; arguments as of MeshSolution."""
+    """Return a solution on the mesh of a system; arguments as of MeshSolution."""
     sizes = system.ndof, len(system.mesh.surface_triangles6), (system.mesh.levels - 1) // 2
     return MeshSolution(displacement, velocity, *sizes, normals)
 
 
 def _between(clock: Float, values: Float, slopes: Float, requested: Float) -> Float:
-    """Cubic Hermite interpolation at the requested times, 0 before the first of the clock; shape (t, m)."""
+    """Return the cubic Hermite interpolation at the requested times, 0 before the first of the clock; shape (t, m)."""
     step = clock[1] - clock[0]
     place = np.clip(np.floor((requested - clock[0]) / step).astype(int), 0, len(clock) - 2)
     x = np.clip((requested - clock[place]) / step, 0.0, 1.0)[:, None]

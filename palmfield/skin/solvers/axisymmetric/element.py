@@ -55,14 +55,14 @@ class Line:
         return np.linalg.inv(legendre.legvander(points, self.degree))
 
     def rule(self, points: int) -> tuple[Float, Float, Int]:
-        """Gauss points [m], weights [m] and their element, each (e * points,)."""
+        """Return the Gauss points [m], weights [m] and their element, each (e * points,)."""
         nodes, weights = legendre.leggauss(points)
         half = 0.5 * np.diff(self.breaks)
         places = (self.breaks[:-1] + half)[:, None] + half[:, None] * nodes
         return places.ravel(), (half[:, None] * weights).ravel(), np.repeat(np.arange(self.elements), points)
 
     def values(self, x: Float, derivative: int = 0) -> Float:
-        """Basis functions or their slopes [1/m] at x (q,) within the interval, shape (q, count)."""
+        """Return the basis functions or their slopes [1/m] at x (q,) within the interval, shape (q, count)."""
         element = np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, self.elements - 1)
         half = 0.5 * np.diff(self.breaks)[element]
         local = (x - self.breaks[element]) / half - 1.0
@@ -116,7 +116,7 @@ class DiscGrid:
             matrix.sum_duplicates()
 
     def _strains(self, m: int) -> list[tuple[float, list[tuple[int, Float, int]]]]:
-        """Weight in 2 e:e - 2/3 div^2 and terms (component, its radial factor, order of its slope in z)."""
+        """Return the weight in 2 e:e - 2/3 div^2 and terms (component, its radial factor, order of its slope in z)."""
         value, slope, hoop = self._shape["N"], self._shape["D"], self._shape["T"]
         return [
             (2.0, [(U, slope, 0)]),
@@ -133,7 +133,7 @@ class DiscGrid:
         return [(U, slope + hoop, 0), (V, m * hoop, 0), (W, value, 1)]
 
     def _integrate(self, strains: list[tuple[float, list[tuple[int, Float, int]]]], pairs: Float) -> Any:
-        """Sum of weight * integral of the squared strains, over all unknowns."""
+        """Return the sum of weight * integral of the squared strains, over all unknowns."""
         radial: dict[tuple[int, int, int, int], Float] = {}
         for weight, terms in strains:
             for row, left, down in terms:
@@ -146,7 +146,7 @@ class DiscGrid:
         return total
 
     def _assemble(self, m: int) -> list[Any]:
-        """Mass, damping and elastic matrices, then the parts' stiffness, over all unknowns."""
+        """Return the mass, damping and elastic matrices, then the parts' stiffness, over all unknowns."""
         value = self._shape["N"]
         plane = value.T @ (self._weight[:, None] * value)
         mass = damping = elastic = 0.0 * _place(plane, self._depths[self.body.sheets[0].material][0, 0], U, U)
@@ -172,7 +172,7 @@ class DiscGrid:
         return [mass, damping, elastic, *parts]
 
     def system(self, m: int) -> DiscSystem:
-        """Matrices of harmonic m >= 0 over its free unknowns."""
+        """Return the matrices of harmonic m >= 0 over its free unknowns."""
         spread = self._spread(m)
         back = spread.T.tocsr()
         zeroth, first, second = self._powers
@@ -206,7 +206,7 @@ class DiscGrid:
         return sparse.csr_matrix((values, (rows, columns)), shape=(free.size, len(kept)))
 
     def pressure_force(self, pressure: Any) -> Float:
-        """Force of a radial pressure, pressure(r (q,)) -> (q, j) [Pa], over all unknowns, shape (all, j)."""
+        """Return the force of a radial pressure, pressure(r (q,)) -> (q, j) [Pa], over all unknowns, shape (all, j)."""
         r, weight, _ = self.radial.rule(2 * self.radial.degree + 4)
         push = -self.radial.values(r).T @ ((weight * r)[:, None] * pressure(r))
         force = np.zeros((self.radial.count, self.depth.count, 3, push.shape[1]))
@@ -214,20 +214,20 @@ class DiscGrid:
         return force.reshape(-1, push.shape[1])
 
     def face_reader(self, r: Float) -> sparse.csr_matrix:
-        """U, V, W on the face at distances r (n,) [m] = reader @ all unknowns, csr (3 n, all)."""
+        """Return U, V, W on the face at distances r (n,) [m] = reader @ all unknowns, csr (3 n, all)."""
         top = np.zeros((1, self.depth.count))
         top[0, -1] = 1.0
         return sparse.csr_matrix(sparse.kron(sparse.kron(self.radial.values(r), top), np.eye(3)))
 
 
 def _place(radial: Float, depth: Float, row: int, column: int) -> Any:
-    """Kronecker product of integrals over r and over z, for one pair of components."""
+    """Return the Kronecker product of integrals over r and over z, for one pair of components."""
     unit = sparse.csr_matrix(([1.0], ([row], [column])), shape=(3, 3))
     return sparse.kron(sparse.kron(sparse.csr_matrix(radial), sparse.csr_matrix(depth)), unit, format="csr")
 
 
 def graded(length: float, size: Any) -> Float:
-    """Ends of elements on 0..length whose lengths follow size(x), rounded up to a whole number of them."""
+    """Return the ends of elements on 0..length whose lengths follow size(x), rounded up to a whole number of them."""
     x = np.linspace(0.0, length, 4001)
     rate = 1.0 / size(x)
     total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(x))])

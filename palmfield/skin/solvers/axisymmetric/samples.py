@@ -27,7 +27,8 @@ class Samples:
 
 
 def sample(load: Spot, times: Float, error: float) -> Samples:
-    """The spot at its own and the requested times, and while it moves so often that the load is linear to `error`.
+    """Sample the spot at its own and the requested times; during motion, often enough that the load is linear to
+    `error`.
 
     A Gaussian moved by x in a step is off its chord by up to (x / s)^2 / 8 of its peak.
     """

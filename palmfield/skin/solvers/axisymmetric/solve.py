@@ -53,14 +53,15 @@ CORNER = 0.15
 """Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
 MOST_DEGREE = 9
 RINGING_S = 1.2e-6
-"""Seconds of a reduced model by modes that ring, to the power 1.5: they take 500 to 2000 vectors on large discs with
-small losses, known to a factor of 4."""
+"""Seconds of a reduced model per number of ringing modes to the power 1.5. Models take 500 to 2000 vectors on large
+discs with small losses; the prediction is within a factor of 4."""
 GRIDS, KEPT = 8, 160
-"""Discs, and reduced models of spots in the middle, that are kept for other courses of the pressure: 0.1 to 10 MB."""
+"""Number of discs, and of reduced models for centred spots, that are cached for other courses of the pressure: 0.1 to
+10 MB."""
 
 
 def refusal_axisymmetric(body: Body, load: Load) -> str | None:
-    """Why this solver cannot, in a sentence, or None."""
+    """Return why this solver refuses a problem, in a sentence, or None."""
     if not isinstance(body, Slab) or body.shape != "disc":
         return "solver 'axisymmetric' supports slabs of shape 'disc' only"
     if isinstance(body.base, Foundation):
@@ -79,7 +80,8 @@ def solve_axisymmetric(
 
     degree: polynomial degree p of the elements; fine: their edge under the spot in its standard deviations; harmonics:
         highest harmonic. With None the solver chooses.
-    Raises SceneError for what `refusal_axisymmetric` names, points off the face, and values outside these ranges.
+    Raises SceneError if `refusal_axisymmetric` returns a reason, for points off the face, and values outside these
+    ranges.
     """
     begin = time.perf_counter()
     accuracy, judged, points = problem.accuracy, problem.judged, problem.points
@@ -113,7 +115,7 @@ def solve_axisymmetric(
 
 
 def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 0.05) -> Motion:
-    """Displacement of the face of a disc under the last pressure of a spot, held for ever; times_s is its last time.
+    """Displacement of the face of a disc under the last pressure of a spot, held constant; times_s is its last time.
 
     The velocity is 0. Arguments and errors as for `solve_axisymmetric`; also SceneError for a disc without support.
     """
@@ -146,7 +148,7 @@ def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 
 
 
 def check_held(body: Slab) -> None:
-    """Raise SceneError for a disc that a push moves away or a touch moves along."""
+    """Raise SceneError for a disc that is not supported in the normal or the tangential direction."""
     base = body.base
     springs = base if isinstance(base, Springs) else Springs(0.0, 0.0)
     upright = base in ("bonded", "free_slip") or springs.normal_Pa_m > 0.0 or body.side == "fixed"
@@ -159,7 +161,7 @@ def check_held(body: Slab) -> None:
 
 
 def first_degree(accuracy: float) -> int:
-    """Odd: the next higher degree is then 2 to 50 times as good and shows the error; from an even one it is not."""
+    """Return an odd degree: then the next degree is 2 to 50 times as accurate and shows the error."""
     return 5 if accuracy >= 0.005 else 7
 
 
@@ -275,7 +277,7 @@ def _motions(
 
 
 def _summed(problem: _DiscProblem, grid: DiscGrid, result: list[tuple[Complex, Complex]]) -> _Found:
-    """The motion that the harmonics make together."""
+    """Return the motion that the harmonics make together."""
     load, samples, points = problem.load, problem.samples, problem.points
     target = np.searchsorted(samples.times_s, problem.times - 1e-12 * samples.times_s[-1])
     after = problem.times >= load.times_s[0]
@@ -297,7 +299,7 @@ def quantities(moved: Float) -> tuple[Float, Float, Float]:
 
 
 def gap(result: _Found, finer: _Found, points: Float) -> Float:
-    """Relative differences of QUANTITIES, (3,)."""
+    """Return the relative differences of QUANTITIES, (3,)."""
     upwards = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     return differences((result.moved[0], result.moved[1]), (finer.moved[0], finer.moved[1]), upwards)
 
@@ -318,7 +320,7 @@ def _accepted(problem: SkinProblem) -> tuple[Slab, Spot]:
 
 
 def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) -> tuple[Line, Line, np.ndarray]:
-    """Elements in r and in z, and the sheet of each of the latter."""
+    """Return the elements in r and in z, and the sheet of each of the latter."""
     s = spread(motion_width(body, load))
     radius = float(body.radius_m or 0.0)
     reach = REACH * spread(load.fwhm_m)
@@ -353,7 +355,7 @@ def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) ->
 
 
 def _harmonic(grid: DiscGrid, problem: _DiscProblem, m: int, band_Hz: float) -> tuple[Complex, Complex]:
-    """U, V, W of one harmonic at all samples and requested points: displacement and velocity, (t, n, 3)."""
+    """Return U, V, W of one harmonic at all samples and requested points: displacement and velocity, (t, n, 3)."""
     samples = problem.samples
     near, far = float(samples.distance_m.min()), float(samples.distance_m.max())
     radii, which = np.unique(np.hypot(*problem.points[:, :2].T), return_inverse=True)
@@ -388,7 +390,7 @@ def _small(
     shape_tolerance: float,
     beyond: bool,
 ) -> tuple[Reduced, Float, Float | None]:
-    """The model of a harmonic, which the course of the spot's pressure and angle does not change.
+    """Return the model of a harmonic, which the course of the spot's pressure and angle does not change.
 
     Also distances of the spot from the axis [m], and coordinates of its shapes there; None for one distance.
     """
@@ -417,7 +419,7 @@ _small_cached = lru_cache(maxsize=KEPT)(_small)
 def _disc(
     body: Slab, radial: tuple[float, ...], depth: tuple[float, ...], sheets: tuple[int, ...], degree: int
 ) -> DiscGrid:
-    """A grid by its breaks [m]: one object for equal discs, by which their models are kept."""
+    """Return a grid by its breaks [m]: one object for equal discs, by which their models are kept."""
     return DiscGrid(body, Line(np.array(radial), degree), Line(np.array(depth), degree), np.array(sheets))
 
 
@@ -439,7 +441,7 @@ def _harmonic_at_rest(grid: DiscGrid, problem: _DiscProblem, m: int, _: float) -
 
 
 def _turned(harmonic: Complex, m: int, points: Float) -> Float:
-    """Vectors (t, n, 3) along x, y, z from U, V, W (t, n, 3) of a harmonic at points (n, 3)."""
+    """Return the vectors (t, n, 3) along x, y, z from U, V, W (t, n, 3) of a harmonic at points (n, 3)."""
     angle = np.arctan2(points[:, 1], points[:, 0])
     turned = harmonic * np.exp(1j * m * angle)[:, None]
     out, around, up = turned[..., 0].real, turned[..., 1].imag, turned[..., 2].real

@@ -5,15 +5,15 @@ import numpy as np
 from palmfield.types import Float, Int
 
 SERIES_FROM = 8
-"""Asked times from which points are judged one by one, over time."""
+"""Number of requested times from which the error is computed for each point, over time."""
 FEW_POINTS = 32
 """Points up to which errors are estimated one by one at fewer times as well; those of a snapshot get one estimate."""
 FAINT = 1e-3
-"""Share of the largest motion below which a point is judged by that."""
+"""Share of the largest motion; errors of points with less motion are relative to it."""
 
 
 def is_picture(times: int, points: int) -> bool:
-    """Whether the points are judged together."""
+    """Return whether there is one error for all points together."""
     return times < SERIES_FROM and points > FEW_POINTS
 
 
@@ -30,7 +30,7 @@ def relative_error(result: Float, finer: Float, picture: bool | None = None) -> 
 
 
 def pick(displacement: Float) -> Int:
-    """Points to compare runs at: nearest to and farthest from the middle of the motion for series, else some of all."""
+    """Return points for comparing runs: nearest to and farthest from the middle of the motion, or a selection."""
     times, points, _ = displacement.shape
     if times < SERIES_FROM:
         return np.unique(np.linspace(0, points - 1, min(points, 200)).astype(np.int32))

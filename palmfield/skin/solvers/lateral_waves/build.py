@@ -36,19 +36,19 @@ SHORTEST = 3.0
 EVEN = 1e-6
 """Unevenness of a spot over a slab with rollers below which it moves as a column."""
 AT_SIDES = 0.5
-"""Share of the target accuracy that the pressure at the sides may have: its kink there is left out."""
+"""Largest pressure at the sides, as a share of the target accuracy; its kink at the sides is ignored."""
 MODES = 0.1
 """Tolerance of the modes in depth relative to that of the wavenumbers, whose panels see a change of modes as a kink."""
 LOOSEST = 0.03
-"""Loosest tolerance of the modes in depth, at wavenumbers that the load hardly has."""
+"""Loosest tolerance of the modes in depth, at wavenumbers at which the load is nearly zero."""
 JUMP = 0.05
-"""The same after a sudden load, in a run that estimates the error of another. Modes are left out by displacement; their
-velocity falls by the root of that at best, or not at all from one tolerance to a fifth of it."""
+"""The same after a sudden load, in a run that estimates the error of another. Modes are omitted by their displacement.
+Their velocity falls at best with its square root, or not at all from one tolerance to a fifth of it."""
 RINGS = 60
 
 
 def refusal_lateral_waves(body: Body, load: Load) -> str | None:
-    """Why solver lateral_waves can't solve this, in one sentence, or None."""
+    """Return why solver lateral_waves refuses a problem, in one sentence, or None."""
     if not isinstance(body, Slab):
         return "it solves flat slabs, but this is a layer on a surface"
     if isinstance(body.base, Foundation):
@@ -78,7 +78,7 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
 
 
 def unevenness(body: Slab, load: Spot) -> float:
-    """Largest fall of the pressure of a spot over a slab, as a share of its peak."""
+    """Return the largest fall of the pressure of a spot over a slab, as a share of its peak."""
     if body.shape == "infinite":
         return 1.0
     half = np.asarray(body.size_m or (body.radius_m or 0.0, 0.0)) * (0.5 if body.shape == "box" else 1.0)
@@ -187,21 +187,21 @@ def build_waves(
 
 
 def next_wavenumber(body: Slab) -> float:
-    """Spacing of the wavenumbers of a slab, along its shortest side at least [rad/m]."""
+    """Return the spacing of the wavenumbers of a slab, along its shortest side at least [rad/m]."""
     if body.shape == "disc":
         return math.pi / body.radius_m if body.radius_m else 0.0
     return math.pi / min(body.size_m) if body.size_m else 0.0
 
 
 def reach(points: Float, sources: Float) -> float:
-    """Bound of the distances from points to sources [m]; by the sources' box, so that it takes no product of both."""
+    """Return an upper bound of the distances from points to sources [m], from the box of the sources."""
     low, high = sources.min(axis=0), sources.max(axis=0)
     offsets = np.maximum(np.abs(points - low), np.abs(points - high))
     return float(np.linalg.norm(offsets, axis=1).max())
 
 
 def disc_transform(fwhm_m: float, radius_m: float, k: Float) -> Float:
-    """Integral of a centred spot times J0(k r) over the disc [m^2]; the spot ends at the rim."""
+    """Return the integral of a centred spot times J0(k r) over the disc [m^2]; the spot ends at the rim."""
     nodes, weights = leggauss(max(200, 2 * len(k)))
     r = 0.5 * radius_m * (1.0 + nodes)
     ring = np.exp(-GAUSSIAN * (r / fwhm_m) ** 2) * 2.0 * np.pi * r * weights * 0.5 * radius_m
@@ -209,7 +209,7 @@ def disc_transform(fwhm_m: float, radius_m: float, k: Float) -> Float:
 
 
 def nyquist(weights_m2: Float) -> float:
-    """Wavenumber [rad/m] beyond which points with such areas do not determine the pressure between them."""
+    """Return the wavenumber [rad/m] beyond which points with such areas do not determine the pressure between them."""
     return np.pi / float(np.sqrt(np.median(weights_m2)))
 
 

@@ -24,7 +24,7 @@ SUM_S = 9e-9
 PHASE_S = 20e-9
 LATE_Hz = 200.0
 BEGIN_S, SHARE = 0.02, 0.4
-"""Seconds that any solution takes, and share of the above that 12 cases took (docs/bench/skin_costs.md)."""
+"""Seconds of any solution, and ratio of measured to predicted time in 12 cases (docs/bench/skin_costs.md)."""
 
 
 def cost_lateral_waves(problem: SkinProblem) -> float:

@@ -21,7 +21,7 @@ from palmfield.skin.problem import Slab
 from palmfield.types import Float
 
 STIFFEST = 1e7
-"""K / G_r above which a sheet is as good as incompressible: a larger ratio costs digits and changes none that stay."""
+"""K / G_r above which a sheet counts as incompressible: a larger ratio loses digits without changing the result."""
 
 
 @dataclass(frozen=True)
@@ -93,13 +93,13 @@ def sheet_matrices(k: float, thickness_m: float, degree: int) -> tuple[Float, Fl
 
 
 def _places(sheet: int, sheets: int, degrees: tuple[int, ...]) -> np.ndarray:
-    """Places of the functions of a sheet among all: interfaces first (the face is 0), then the insides."""
+    """Return the places of the functions of a sheet among all: interfaces first (the face is 0), then the insides."""
     inside = sheets + 1 + sum(p - 1 for p in degrees[:sheet])
     return np.concatenate([[sheet + 1, sheet], np.arange(inside, inside + degrees[sheet] - 1)])
 
 
 def _laws(material: Material, dilation: Float, turned: Float) -> tuple[Float, Float]:
-    """Rows of strain of one sheet: of all its stiffness, and of what follows the shear modulus in time."""
+    """Return the rows of strain of one sheet: of all its stiffness, and of what follows the shear modulus in time."""
     shear = material.shear_relaxed_Pa
     bulk = min(material.bulk_Pa, STIFFEST * shear)
     sheared = math.sqrt(shear) * turned

@@ -44,13 +44,13 @@ def timeline(load: Load, requested: Float) -> Timeline | None:
 
 
 def spot_transform(fwhm_m: float, k: Float) -> Float:
-    """Integral of exp(-4 ln 2 r^2 / fwhm^2) e^{-ik.x} over the plane [m^2]."""
+    """Return the integral of exp(-4 ln 2 r^2 / fwhm^2) e^{-ik.x} over the plane [m^2]."""
     s = spread(fwhm_m)
     return 2.0 * np.pi * s**2 * np.exp(-0.5 * (k * s) ** 2)
 
 
 def drive(load: Load, line: Timeline, waves: WaveSet, part: slice) -> Float:
-    """Force on each wave in the form of `warp_kernels.oscillators.march`: shape (n, s, 7).
+    """Return the force on each wave in the form of `warp_kernels.oscillators.march`: shape (n, s, 7).
 
     The transform of the shape of a spot is part of the weight of the wave; here are its amplitude and centre phase.
     """

@@ -41,11 +41,11 @@ CLEAR_WIDTHS = 1.6
 PHASE = 0.25
 """Radians by which the shortest wave may turn between two places of the spot, between which its load is linear."""
 SAME_DIGITS = 7
-"""Decimals of wavenumbers [rad/m] that are one and the same."""
+"""Decimals to which equal wavenumbers agree [rad/m]."""
 FINER_ANGLES = 2
 """Angles of the polar grid over those that its waves need, so that cubic polynomials between them do."""
 ROWS = 32
-"""Moments that are summed at once."""
+"""Number of moments that are summed together."""
 WALL_STEP_m = 5e-4
 """Spacing of the radii at which the waves of the disc are tabulated; the shortest are seven times as long."""
 
@@ -93,7 +93,7 @@ class PeriodicSlab(_Field):
         return WaveSet(modes, group, weights * spot_transform(self.fwhm_m, np.linalg.norm(vectors, axis=1)), vectors)
 
     def normal_velocity(self, spot: Spot, times_s: Float, *, half_m: float, cells: int, device: str = "cpu") -> Float32:
-        """Normal velocity [m/s], outward, at times [s] on the square of +- half_m, shape (t, n, n), float32.
+        """Return the normal velocity [m/s], outward, at times [s] on the square of +- half_m, shape (t, n, n), float32.
 
         cells: places of the grid in a period, whose spacing is period_m / cells; `places` gives them
         Raises SceneError for a spot of another width, a grid too coarse for the waves, and times that do not rise.
@@ -105,7 +105,8 @@ class PeriodicSlab(_Field):
     def line_and_maps(
         self, spot: Spot, times_s: Float, maps: Int, *, half_m: float, cells: int, device: str = "cpu"
     ) -> tuple[Float32, Float32]:
-        """The same along the line y = 0 at all times, shape (t, n), and on the whole square at some, (m, n, n).
+        """Return the normal velocity along the line y = 0 at all times, shape (t, n), and on the square at some, (m, n,
+        n).
 
         maps: numbers of the times at which the square is needed, shape (m,); others as of `normal_velocity`
         """
@@ -125,7 +126,7 @@ class PeriodicSlab(_Field):
         return line.astype(np.float32), _maps(amplitude[maps], numbers, cells, shown)
 
     def _grid(self, half_m: float, cells: int) -> tuple[Int, Int]:
-        """Whole numbers of each wave along x and y, shape (n, 2), and which cells are shown."""
+        """Return the whole numbers of each wave along x and y, shape (n, 2), and which cells are shown."""
         numbers = np.round(self.waves.vectors / (2.0 * math.pi / self.period_m)).astype(np.int32)
         most = int(np.abs(numbers).max())
         if cells < 2 * most + 1:
@@ -133,14 +134,14 @@ class PeriodicSlab(_Field):
         return numbers, self._shown(half_m, cells)
 
     def _amplitudes(self, spot: Spot, times: Float, device: str) -> Complex:
-        """Normal velocity of each wave at the times with its weight, shape (t, n)."""
+        """Return the normal velocity of each wave at the times with its weight, shape (t, n)."""
         line = timeline(spot, times)
         if line is None:
             return np.zeros((len(times), len(self.waves)), dtype=complex)
         return _amplitudes(spot, line, self.waves, len(times), device, self.threads)
 
     def places(self, half_m: float, cells: int) -> Float:
-        """Coordinates of the grid of `normal_velocity` along x and along y [m], rising, shape (n,)."""
+        """Return the coordinates of the grid of `normal_velocity` along x and along y [m], rising, shape (n,)."""
         shown = self._shown(half_m, cells)
         return np.asarray(np.where(shown > cells // 2, shown - cells, shown) * self.period_m / cells)
 
@@ -154,7 +155,7 @@ class PeriodicSlab(_Field):
 
 
 def _maps(amplitude: Complex, numbers: Int, cells: int, shown: Int) -> Float32:
-    """Sums of plane waves on the visible cells of a period, shape (t, n, n).
+    """Return the sums of plane waves on the visible cells of a period, shape (t, n, n).
 
     amplitude: shape (t, w); numbers: waves in a period along x and y, shape (w, 2)
     """
@@ -268,7 +269,7 @@ class WalledDisc(_Field):
         return inside, sparse.csr_array((values, (rows, columns)), shape=shape)
 
     def places(self, spacing_m: float) -> Float:
-        """Coordinates of the default grid along x and along y [m], shape (n,)."""
+        """Return the coordinates of the default grid along x and along y [m], shape (n,)."""
         reach = math.floor(self.radius_m / spacing_m * (1.0 + 1e-9))
         return np.asarray(spacing_m * np.arange(-reach, reach + 1), dtype=float)
 
@@ -295,7 +296,7 @@ class WalledDisc(_Field):
         return _amplitudes(fine, line, waves, len(times), device, self.threads, force), orders
 
     def _linear(self, spot: Spot) -> Spot:
-        """The spot with enough places that the shortest wave turns by less than PHASE between two."""
+        """Return the spot with enough places that the shortest wave turns by less than PHASE between two."""
         if spot.law == "held":
             return spot
         short = resolution_for(self.tolerance, 0.0, self.speed_m_s).cut(self.fwhm_m)
@@ -309,7 +310,7 @@ class WalledDisc(_Field):
 
 
 def _cubic(x: Float) -> tuple[Float, ...]:
-    """Weights of values at 0, 1, 2, 3 for the cubic polynomial through them, at x."""
+    """Return the weights of values at 0, 1, 2, 3 for the cubic polynomial through them, at x."""
     return (
         (1.0 - x) * (2.0 - x) * (3.0 - x) / 6.0,
         x * (2.0 - x) * (3.0 - x) / 2.0,
@@ -319,7 +320,7 @@ def _cubic(x: Float) -> tuple[Float, ...]:
 
 
 def wall_wavenumbers(radius_m: float, k_end: float) -> tuple[Int, Float]:
-    """Orders m and wavenumbers k [rad/m] up to k_end with J_m'(k R) = 0, k = 0 of order 0 among them."""
+    """Return the orders m and wavenumbers k [rad/m] up to k_end with J_m'(k R) = 0, k = 0 of order 0 among them."""
     end = k_end * radius_m
     orders, k = [np.zeros(1, dtype=int)], [np.zeros(1)]
     for m in range(math.floor(end) + 1):
@@ -341,7 +342,7 @@ def _amplitudes(
     threads: int | None,
     force_on: Callable[[slice], Float] | None = None,
 ) -> Complex:
-    """Normal velocity of each wave at the requested times, with its weight, shape (rows, n)."""
+    """Return the normal velocity of each wave at the requested times, with its weight, shape (rows, n)."""
     result = np.zeros((rows, len(waves)), dtype=complex)
 
     def keep(part: slice, amplitude: Complex) -> Float:

@@ -16,13 +16,13 @@ from palmfield.types import Complex, Float
 from warp_kernels import oscillators as kernels
 
 CHUNK_NUMBERS = 4_000_000
-"""Doubles that the drive or the result of one chunk of waves takes at most, about."""
+"""Approximate largest number of doubles of the drive or the result of one chunk of waves."""
 LEAST_CHUNKS = 8
 """Number of parts of the work; the same on all machines, because the order of the sums follows from it."""
 
 
 def tables(waves: WaveSet, line: Timeline) -> list[tuple[Any, Any]]:
-    """Poles, residues and e^{s h}, padded to one width, with their Warp types in the order of the kernel."""
+    """Return the poles, residues and e^{s h}, padded to one width, with their Warp types in the order of the kernel."""
     counts = np.array([len(m.poles) for m in waves.modes], dtype=np.int32)
     width = int(counts.max())
     groups = len(counts)
@@ -53,7 +53,7 @@ def march(
     threads: int | None,
     force_on: Callable[[slice], Float] | None = None,
 ) -> Float:
-    """Sum over all waves of to_points(part, amplitude), see `waves.at_points`, in chunks of waves.
+    """Return the sum over all waves of to_points(part, amplitude), see `waves.at_points`, in chunks of waves.
 
     force_on: the force on a part of the waves, as from `drive`; None where the waves are plane or axial.
 

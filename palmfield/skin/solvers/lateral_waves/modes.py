@@ -1,4 +1,4 @@
-"""From the matrices of a slab in depth to what its face does: u(s) = sum r_j / (s - s_j) under a normal pressure."""
+"""Motion of the face of a slab from its matrices in depth: u(s) = sum r_j / (s - s_j) under a normal pressure."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ SLOWEST = 1e-3
 """Radians within the requested time below which a mode counts as free; moving it there changes t^2/2 by 1e-7."""
 RUSH_1_S = 1e4
 LONGEST_S = 5e-3
-"""Time up to which the part of a slow mode in the step response counts when the others are weighed against it."""
+"""Time up to which the part of a slow mode in the step response is compared with the other modes [s]."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class FaceModes:
     lateral: Complex
 
     def static(self) -> tuple[float, float]:
-        """u_z and u_x / i per unit of pressure at rest [m/Pa]."""
+        """Return u_z and u_x / i per unit of pressure at rest [m/Pa]."""
         return float(-np.sum(self.normal / self.poles).real), float(-np.sum(self.lateral / self.poles).real)
 
 
@@ -45,7 +45,7 @@ class ModalProblem:
 
 
 def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> ModalProblem:
-    """The undamped modes that matter for the face, and the static shapes of all the others.
+    """Return the undamped modes that matter for the face, and the static shapes of all the others.
 
     A mode adds b^2/w^2 (1 - cos wt) to the step response, b its part in the face. The smallest are left out while the
     root of their summed squares stays below `tolerance` of all. Their sum remains, as one shape, so that the static
@@ -91,20 +91,20 @@ def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> ModalPr
 
 
 def _solved(rows: Float, right: Float) -> Float:
-    """x with rows^T rows x = right."""
+    """Return x with rows^T rows x = right."""
     root = np.linalg.qr(rows, mode="r")
     return solve_triangular(root, solve_triangular(root, right, trans="T"))
 
 
 def _factor(rows: Float) -> Float:
-    """L with L L^T = rows^T rows, with as many columns as its rank."""
+    """Return L with L L^T = rows^T rows, with as many columns as its rank."""
     values, vectors = np.linalg.svd(rows, full_matrices=False)[1:]
     kept = values > 1e-12 * values[0]
     return vectors[kept].T * values[kept]
 
 
 def face_modes(problem: DepthProblem, horizon_s: float, tolerance: float) -> FaceModes:
-    """Poles and residues for times up to horizon_s [s], to a relative `tolerance` of the step response.
+    """Return the poles and residues for times up to horizon_s [s], to a relative `tolerance` of the step response.
 
     The state (u, u', L^T q) obeys A x' = B x + force with A and B symmetric, so x^T A x gives the residues.
     """
@@ -140,7 +140,7 @@ def face_modes(problem: DepthProblem, horizon_s: float, tolerance: float) -> Fac
 
 
 def still_modes(problem: DepthProblem) -> FaceModes:
-    """One pole that takes the face to its static solution in a time that is negligible against a second."""
+    """Return one pole with which the face reaches its static solution in a time that is negligible against a second."""
     force = np.zeros(len(problem.mass))
     force[problem.normal] = -1.0
     shape = _solved(problem.strain, force)

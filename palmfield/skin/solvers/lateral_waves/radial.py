@@ -1,8 +1,8 @@
-"""Where to put the radial wavenumbers: Gauss panels, halved until the step response of the slab is integrated well.
+"""Choose the radial wavenumbers: Gauss panels, halved until the step response of the slab is integrated accurately.
 
 Any load is a sum of steps, so nodes that integrate the step response at all times and distances in question serve any
-load. A mode w(k) turns the integrand by dw/dk t, the way that its waves go in the time t; adding the distance, that is
-what the panels have to follow, and the damping of the modes is what ends it.
+load. A mode w(k) rotates the phase of the integrand by dw/dk t, the distance that its waves travel in the time t. The
+panels must resolve this distance plus that of the points. The damping of the modes limits it.
 """
 
 from collections.abc import Callable
@@ -84,7 +84,7 @@ def radial_rule(
     distances = farthest_m * np.array([0.0, 0.1, 0.3, 0.6, 1.0])
 
     def measured(low: float, high: float, k: Float, modes: tuple[FaceModes, ...]) -> tuple:
-        """Nodes, their modes, integral and its error for each quantity, time and distance."""
+        """Return the nodes, their modes, integral and its error for each quantity, time and distance."""
         half = 0.5 * (high - low)
         moved = np.stack([step_response(m, times, pace(value)) for value, m in zip(k, modes, strict=True)])
         values = (k * profile(k))[:, None, None, None] * moved[..., None] * j0(np.outer(k, distances))[:, None, None, :]

@@ -9,7 +9,7 @@ from palmfield.skin.problem import Load, Slab, Spot, spread
 from palmfield.types import Float
 
 SUDDEN_1_S = 2.0 * math.pi * 500.0
-"""Pace up to which the velocity after a sudden load is resolved laterally as well as the displacement."""
+"""Rate of change up to which the velocity after a sudden load is resolved laterally [1/s], like the displacement."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Resolution:
         return min(self.pace_1_s, SUDDEN_1_S) + k * self.speed_m_s
 
     def cut(self, fwhm_m: float) -> float:
-        """Wavenumber [rad/m] from which the transform of a Gaussian spot, exp(-(k s)^2 / 2), is left out."""
+        """Return the wavenumber [rad/m] from which the transform of a Gaussian spot, exp(-(k s)^2 / 2), is left out."""
         return math.sqrt(2.0 * math.log(4.0 / self.tolerance)) / spread(fwhm_m)
 
     def angles(self, k: Float, farthest_m: float) -> np.ndarray:
@@ -46,7 +46,7 @@ class Resolution:
         return 2 * np.ceil(0.5 * (x + beyond * np.cbrt(x) + self.digits + 2.0)).astype(int)
 
     def degrees(self, slab: Slab, k: float) -> tuple[int, ...]:
-        """Polynomial degree of each sheet: enough for the wave that a running, changing load makes in it."""
+        """Return the polynomial degree of each sheet: enough for the wave that a running, changing load makes in it."""
         result = []
         for sheet in slab.sheets:
             speed = math.sqrt(sheet.material.shear_relaxed_Pa / sheet.material.density_kg_m3)
@@ -57,7 +57,7 @@ class Resolution:
 
 
 def choose(load: Load, tolerance: float) -> Resolution:
-    """Resolution whose parts each err by about `tolerance`."""
+    """Return the resolution whose parts each err by about `tolerance`."""
     values = load.peak_Pa[:, None] if isinstance(load, Spot) else load.pressure_Pa
     size = float(np.abs(values).max()) or 1.0
     steps = np.diff(load.times_s)

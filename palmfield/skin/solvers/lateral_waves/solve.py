@@ -23,7 +23,9 @@ random slabs the error was 0.7 to 1.7 times the difference, on two weak ones mor
 MOMENT_SAFETY = 4.0
 """The same at fewer than eight times, over which errors at a point do not average: up to 2.4 at a faint one."""
 PICTURE_FINER, PICTURE_SAFETY = 0.35, 2.5
-"""The same for a snapshot of many points, whose faint places weigh little: 3 of them gave the same as with 0.2."""
+"""The same for a snapshot of many points, in which faint points have little weight: 3 gave the same error as with
+0.2.
+"""
 FINEST = 1e-9
 RETRIES = 3
 PART = 0.5
@@ -32,7 +34,7 @@ PART = 0.5
 
 @dataclass(frozen=True)
 class Settings:
-    """Options of a solution: as the arguments of solve_lateral_waves; still: at rest."""
+    """Options of a solution, as the arguments of solve_lateral_waves; still: whether the solution is static."""
 
     tolerance: float | None
     device: str
@@ -53,9 +55,9 @@ class Run:
 
 
 def solve_lateral_waves(problem: SkinProblem, *, tolerance: float | None = None, threads: int | None = None) -> Motion:
-    """Displacement and velocity of the face of a slab at points and times; see `refusal_lateral_waves`.
+    """Return the displacement and velocity of the face of a slab at points and times; see `refusal_lateral_waves`.
 
-    tolerance: sets that of the wavenumbers, angles, depth modes and cut, each; then there is no refinement.
+    tolerance: of wavenumbers, angles, depth modes and cut, each; with it there is no refinement.
     threads: on the CPU; None takes all cores.
     The error is estimated by a run with a fifth of the tolerance, and one wavenumber more on a disc or box, at up to
     four of the points. For a snapshot (fewer than eight times, more than 32 points) it is estimated by a run with a
@@ -76,7 +78,7 @@ def static_lateral_waves(
     tolerance: float | None = None,
     threads: int | None = None,
 ) -> Motion:
-    """Displacement at rest under the load at its last time, shape (1, n, 3).
+    """Return the displacement at rest under the load at its last time, shape (1, n, 3).
 
     Arguments are as for solve_lateral_waves.
 
@@ -93,7 +95,7 @@ def static_lateral_waves(
 
 
 def last_of(load: Load) -> Load:
-    """The load held at its last value, from time 0 on."""
+    """Return the load held at its last value, from time 0 on."""
     begin = np.zeros(1)
     if isinstance(load, Spot):
         return Spot(load.fwhm_m, begin, load.peak_Pa[-1:], load.centres()[-1:], "held")
@@ -110,7 +112,7 @@ def accepted(problem: SkinProblem) -> Slab:
 
 
 def settings_of(tolerance: float | None, device: str, threads: int | None, still: bool = False) -> Settings:
-    """Raises SceneError for a tolerance out of range."""
+    """Return the options as Settings. Raises SceneError for a tolerance out of range."""
     if tolerance is not None and not FINEST <= tolerance <= 0.25:
         raise SceneError(f"tolerance is {tolerance}; give {FINEST} to 0.25, or omit it")
     return Settings(tolerance, resolve(device), threads, still)
@@ -162,7 +164,7 @@ def run(
     *,
     farther: bool = False,
 ) -> Run:
-    """One solution at one tolerance.
+    """Return one solution at one tolerance.
 
     panels: of a coarser run, to begin with; farther: whether it includes one wavenumber of the body beyond the spot, so
     that a run with the same tolerance or a somewhat larger one has fewer of them

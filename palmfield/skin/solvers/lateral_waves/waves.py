@@ -1,7 +1,6 @@
-"""Sets of lateral waves that a load is made of, and their sum at points.
-
-A wave set holds, by wave, which modes in depth it has and its weight; its amplitude is the transform of the load at
-its wavenumber. Axial sets are J0(k r) about a centre; plane ones e^{ik.x}, one of each pair k, -k.
+"""Sets of lateral waves that compose a load, and their sum at points. A wave set has for each wave its modes in depth
+and its weight; its amplitude is the transform of the load at its wavenumber. Axial sets are J0(k r) about a centre;
+plane ones e^{ik.x}, one of each pair k, -k.
 """
 
 from dataclasses import dataclass
@@ -14,9 +13,9 @@ from palmfield.skin.solvers.lateral_waves.radial import RadialRule
 from palmfield.types import Complex, Float, Int
 
 BLOCK = 4_000_000
-"""Complex phases held at once."""
+"""Largest number of complex phases in memory."""
 GRID_FROM = 64
-"""Points from which a product grid of them is looked for."""
+"""Number of points from which a search for a product grid begins."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class WaveSet:
 
 
 def hankel(rule: RadialRule, centre: Float) -> WaveSet:
-    """Axial waves of the endless slab: integral of k dk / 2 pi."""
+    """Return the axial waves of the endless slab: integral of k dk / 2 pi."""
     count = len(rule.wavenumbers)
     vectors = np.stack([rule.wavenumbers, np.zeros(count)], axis=1)
     weights = rule.weights * rule.wavenumbers / (2.0 * np.pi)
@@ -79,7 +78,7 @@ def lattice(size_m: tuple[float, float], k_end: float) -> tuple[Float, Float, Fl
 
 
 def mirrored(points: Float, size_m: tuple[float, float]) -> list[tuple[Float, Float]]:
-    """The points and their images in two walls of a box, each with the signs of its vector components."""
+    """Return the points and their images in two walls of a box, each with the signs of its vector components."""
     result = []
     for across in (False, True):
         for along in (False, True):
@@ -93,7 +92,7 @@ def mirrored(points: Float, size_m: tuple[float, float]) -> list[tuple[Float, Fl
 
 
 def at_points(waves: WaveSet, part: slice, amplitude: Complex, points: Float) -> Float:
-    """Sum of the waves of a part of the set at points (p, 2): vectors, shape (rows, 2, p, 3).
+    """Return the sum of the waves of a part of the set at points (p, 2): vectors, shape (rows, 2, p, 3).
 
     amplitude: by row and wave the normal and lateral displacement and velocity, shape (rows, n, 4)
     """
@@ -124,7 +123,7 @@ def at_points(waves: WaveSet, part: slice, amplitude: Complex, points: Float) ->
 
 
 def plane_sum(vectors: Float, values: Complex, points: Float) -> Float:
-    """Real part of sum over n of values[:, n] e^{i k_n . x}, shape (rows, p)."""
+    """Return the real part of sum over n of values[:, n] e^{i k_n . x}, shape (rows, p)."""
     grid = _grid(points)
     if grid is not None:
         x, y, place_x, place_y = grid
@@ -145,7 +144,7 @@ def plane_sum(vectors: Float, values: Complex, points: Float) -> Float:
 
 
 def transform(vectors: Float, values: Float, points: Float) -> Complex:
-    """Sum over p of values[:, p] e^{-i k_n . x_p}, shape (n, rows)."""
+    """Return the sum over p of values[:, p] e^{-i k_n . x_p}, shape (n, rows)."""
     result = np.empty((len(vectors), len(values)), dtype=complex)
     step = max(1, BLOCK // len(points))
     for start in range(0, len(vectors), step):
@@ -155,7 +154,7 @@ def transform(vectors: Float, values: Float, points: Float) -> Complex:
 
 
 def _grid(points: Float) -> tuple[np.ndarray, ...] | None:
-    """Coordinates of the rows and columns of the points, and those of each point, if they fill a grid."""
+    """Return the coordinates of the rows and columns of the points, and those of each point, if they fill a grid."""
     if len(points) < GRID_FROM:
         return None
     scale = np.abs(points).max() or 1.0

@@ -221,7 +221,7 @@ def _face_areas(columns: Columns, points: Float) -> Float:
 
 
 def _free_directions(columns: Columns, points: Float, body: Body) -> Float:
-    """Projectors on the directions in which each particle may move, shape (n, 3, 3)."""
+    """Return the projectors on the directions in which each particle may move, shape (n, 3, 3)."""
     per_level, levels = len(columns.face), len(columns.shares)
     fixed: dict[int, list[Float]] = {}
     base = (levels - 1) * per_level + np.arange(per_level)

@@ -46,7 +46,7 @@ class Columns:
         return len(self.face) * len(self.shares)
 
     def points(self) -> Float:
-        """All particles [m], level by level, shape (l n, 3)."""
+        """Return all particles [m], level by level, shape (l n, 3)."""
         return (self.face + (self.shares[:, None] * self.depth)[..., None] * self.inward).reshape(-1, 3)
 
 
@@ -125,7 +125,7 @@ def _box(body: Slab, spacing_m: float) -> tuple[Float, Int, Int, Int, Float]:
 
 
 def _disc(body: Slab, spacing_m: float) -> tuple[Float, Int, Int, Int, Float]:
-    """Square lattice within the disc, a ring of particles on its rim, triangles between."""
+    """Return the square lattice within the disc, a ring of particles on its rim, triangles between."""
     radius = body.radius_m or 0.0
     half = math.floor(radius / spacing_m)
     line = np.arange(-half, half + 1) * spacing_m

@@ -14,7 +14,7 @@ from warp_kernels import particles as kernels
 
 
 def integral(times_s: Float, values: Float, law: Law, to_s: Float) -> Float:
-    """Integral of a held or piecewise-linear history from its beginning, shape (n, ...).
+    """Return the integral of a held or piecewise-linear history from its beginning, shape (n, ...).
 
     times_s: shape (f,); values: shape (f, ...), 0 before the first time and kept after the last; to_s: shape (n,)
     """
@@ -31,7 +31,7 @@ def integral(times_s: Float, values: Float, law: Law, to_s: Float) -> Float:
 
 
 def means(times_s: Float, values: Float, law: Law, at_s: Float, step_s: float) -> Float:
-    """Means over the step round each time, shape (n, ...): what a step of leapfrog takes up of the load."""
+    """Return the means over the step round each time, shape (n, ...): the load in a step of leapfrog."""
     ends = [integral(times_s, values, law, at_s + half) for half in (-0.5 * step_s, 0.5 * step_s)]
     return (ends[1] - ends[0]) / step_s
 
@@ -73,7 +73,7 @@ class Pressure:
 
 
 def _spread(cloud: Cloud, load: Traction) -> sparse.csr_matrix:
-    """Pressure at the particles of the face [Pa] by the pressure at the points of the load, shape (f, n)."""
+    """Return the pressure at the particles of the face [Pa] by the pressure at the points of the load, shape (f, n)."""
     columns = cloud.columns
     squares = columns.squares
     # Squares by the mean of both cuts, which gives each corner a quarter of its area

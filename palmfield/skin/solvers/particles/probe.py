@@ -12,7 +12,7 @@ NEIGHBOURS = 16
 
 
 def point_weights(columns: Columns, normals: Float, at: Float) -> tuple[Float, Int, Float]:
-    """Points on the face, and the weights that give their displacement from particles of the face.
+    """Return the points on the face, and the weights that give their displacement from particles of the face.
 
     normals: outward area vectors of the particles of the face, shape (f, 3); at: shape (n, 3), or (n, 2) on a flat
     face. Returns points [m] (n, 3), particles (n, k), weights (n, k). Moving least squares in the tangent plane of the

@@ -16,11 +16,11 @@ from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
 SECONDS_A_STEP = {"cpu": 0.9e-6, "cuda": 2.0e-9}
 """Seconds of a step per particle: measured on one core; on a GPU the time for its 1.5 kB at 0.75 TB/s."""
 STIFFEST = 1e5
-"""Bulk over shear modulus at once, above which the step is so small that the solver refuses (nu 0.499995)."""
+"""Instantaneous bulk over shear modulus above which the step is so small that the solver refuses (nu 0.499995)."""
 BELOW = 0.6
 """Error by the square of the spacing in depth over the depth."""
 FINEST = 2e-3
-"""Least error for which particles are laid out."""
+"""Least target error for which a spacing is chosen."""
 STIFFER = 100.0
 """Stiffness of a sheet over that of one below it, above which the solver refuses. On a bed 1/100 as stiff, a sheet one
 cell thick bends a third too little, on one of 1/1000 two fifths, and the stated error is smaller than that."""
@@ -31,7 +31,7 @@ COARSE_CELLS = 2
 
 
 def refusal_particles(body: Body, load: Load) -> str | None:
-    """Why particles can't solve this, or None."""
+    """Return why particles refuse a problem, or None."""
     if isinstance(body, Slab) and body.shape == "infinite":
         return "particles need a finite body: give the slab a shape 'box' or 'disc'"
     if isinstance(body.base, Foundation):
@@ -61,7 +61,7 @@ def refusal_particles(body: Body, load: Load) -> str | None:
 
 
 def law_error(body: Body, load: Load, spacing_m: float) -> float:
-    """Relative error that particles at this spacing [m] had on discs against the exact layer
+    """Return the relative error of particles at this spacing [m], measured on discs against the exact layer
     (docs/bench/skin_particles.md).
 
     0.65 (h / L)^2 + 0.6 (h_z / H)^2 + 4.6 (h / wavelength)^2: L = min(w, sqrt(w H)) of the width w of the spot, or the
@@ -74,7 +74,7 @@ def law_error(body: Body, load: Load, spacing_m: float) -> float:
 
 
 def _along_face(body: Body, load: Load) -> float:
-    """Error by the square of the spacing along the face [1/m^2]."""
+    """Return the error by the square of the spacing along the face [1/m^2]."""
     width = motion_width(body, load)
     length = min(width, math.sqrt(width * depth_of(body)))
     frequency = max(mean_frequency(load), passing_frequency(load, width))
@@ -102,7 +102,7 @@ def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
 
 
 def cost_particles(problem: SkinProblem) -> float:
-    """Predicted seconds: particles x steps x what one takes."""
+    """Return the predicted seconds: particles x steps x seconds of one step of one particle."""
     spacing = choose_spacing(problem.body, problem.load, problem.accuracy)
     return sum(_run_seconds(problem, h) for h in (spacing, COARSER * spacing))
 
@@ -129,7 +129,7 @@ def _run_seconds(problem: SkinProblem, spacing: float) -> float:
 
 
 def length_of(body: Body) -> float:
-    """Least length along the face [m]."""
+    """Return the least length along the face [m]."""
     if isinstance(body, Layer):
         return float(np.ptp(body.patch.vertices, axis=0).max())
     return min(body.size_m) if body.size_m is not None else 2.0 * (body.radius_m or 0.0)

@@ -19,21 +19,21 @@ HOURGLASS = 4.0 / 3.0
 of shear waves in every direction: in place of k^2 sites alone give k^2 (1 - 4 X / 3)
 and pairs alone k^2 (1 - X / 3), X = (k h / 2)^2."""
 SAFETY = 0.9
-"""Step over the stable one: margin for stiffening by strain before a run is begun again."""
+"""Step relative to the stable one: margin for stiffening by strain before a run is repeated."""
 COURANT = 1.24
 """Stable step of a cube times the speed of sound over the spacing."""
 BLOCK = 256
-"""Steps between looks at the state."""
+"""Number of steps between checks of the state."""
 SMALL_STRAIN = 0.1
 """Displacement gradient up to which (1 + 2 x)^4 is more than any growth of the rates of the body."""
 
 
 class CrushedError(SceneError):
-    """The body has come apart, by its load or by a step that strain has made too long."""
+    """The body has come apart, by its load or by a step that is too long for the strain."""
 
 
 class StepTooLongError(Exception):
-    """Strain has stiffened the body beyond its step; `step_s` is one that would do."""
+    """Strain has stiffened the body so that the step is too long; `step_s` is a sufficient one."""
 
     def __init__(self, step_s: float) -> None:
         super().__init__(f"a step of {step_s:.3g} s is stable")
@@ -90,7 +90,7 @@ class Particles:
         self.force = self._rows(np.zeros((sites, width, 3)), wp.vec3)
 
     def _rows(self, values: Any, dtype: Any) -> wp.array:
-        """A table whose neighbours in memory are, on a GPU, the same slot of neighbouring particles."""
+        """Return a table whose neighbours in memory are, on a GPU, the same slot of neighbouring particles."""
         if wp.get_device(self.device).is_cuda:
             turned = np.ascontiguousarray(np.swapaxes(values, 0, 1))
             return wp.array(turned, dtype=dtype, device=self.device).transpose()
@@ -153,12 +153,12 @@ class Particles:
             )
 
     def _state_arrays(self) -> list[wp.array]:
-        """The part of the state that a step changes: motion by particle, then stresses by site."""
+        """Return the part of the state that a step changes: motion by particle, then stresses by site."""
         motion = [self.displacement, self.velocity, self.memory, self.relaxed_displacement]
         return [*motion, self.stress, self.relaxed]
 
     def begin(self, numbers: Float) -> None:
-        """Go on from a state, shape (state_size,)."""
+        """Continue from a state, shape (state_size,)."""
         scatter(numbers, self._state_arrays())
 
     def numbers(self, out: Float) -> None:
@@ -196,7 +196,7 @@ class Particles:
 
 
 def state_size(cloud: Cloud) -> int:
-    """Numbers that carry particles through time: see `Particles.begin`."""
+    """Return the size of the state of particles, see `Particles.begin`."""
     branches = max(len(material.relaxation.branches) for material in cloud.materials)
     return len(cloud.points) * 3 * (3 + branches) + len(cloud.owner) * 6 * (1 + branches)
 
@@ -226,7 +226,7 @@ def branch_table(
     """Ratio g and weights e, a, b of q1 = e q0 + a u0 + b u1 (exact for u linear over a step), each (materials,
     branches).
 
-    instant: the branches carry what they carry at once, whatever the step
+    instant: the branches have their instantaneous stiffness for any step
     """
     table = np.zeros((4, len(materials), branches))
     for row, material in enumerate(materials):
@@ -240,7 +240,7 @@ def branch_table(
 
 
 def stable_step(cloud: Cloud, hourglass: float = HOURGLASS) -> float:
-    """Longest stable step at rest [s]; runs take SAFETY times this.
+    """Return the longest stable step at rest [s]; runs take SAFETY times this.
 
     Leapfrog with a dashpot on the velocity half a step behind is stable for h^2 w^2 / 4 + h c / 2 <= 1, where w^2 is
     the greatest eigenvalue of M^-1 K with all branches unrelaxed, and c that of M^-1 C.
@@ -251,7 +251,7 @@ def stable_step(cloud: Cloud, hourglass: float = HOURGLASS) -> float:
 
 
 def likely_step(cloud: Cloud) -> float:
-    """About the next step [s], from the heights of the cells at a corner: 0.6 to 0.9 of it."""
+    """Return an estimate of the stable step [s], from the heights of cells at a corner: 0.6 to 0.9 of it."""
     columns = cloud.columns
     levels = columns.points().reshape(len(columns.shares), -1, 3)
     steepest = 0.0

@@ -1,4 +1,4 @@
-"""Motion of a body by particles: one run at a spacing, and the target accuracy."""
+"""Motion of a body by particles: one run at one spacing, and runs to a target accuracy."""
 
 import time
 
@@ -33,9 +33,9 @@ from palmfield.skin.solvers.particles.run import (
 from palmfield.types import Float, Int
 
 ORDER = 1.0
-"""Least order seen between spacings, of motion along the face near nu 0.5; into it 1.5, and 2 as they shrink."""
+"""Least order observed between two spacings, for motion along the face near nu 0.5; normal to it 1.5 to 2."""
 RESTARTS = 12
-"""Runs begun again with a shorter step before giving up."""
+"""Largest number of repetitions with a shorter step."""
 LONGEST_S = 3600.0
 """Predicted time above which a run is refused before it begins."""
 SHORTEST = 1.0 / 8.0
@@ -55,7 +55,8 @@ def solve_particles(
     The error of a slab is from a second run with particles COARSER times as far apart, at ORDER, but at least half of
     law_error (the difference may pass through 0), and all of it where the spot reaches the sides. That of a layer is
     law_error at its own edges. L2 over the times at a point, the largest of the points.
-    Raises SceneError for what refusal_particles names, a wrong spacing, accuracy or step, and a body that is crushed.
+    Raises SceneError if refusal_particles returns a reason, for a wrong spacing, accuracy or step, and for a crushed
+    body.
     """
     begun = time.perf_counter()
     body, load, requested, at, device = problem.body, problem.load, problem.times, problem.at, problem.device

@@ -18,7 +18,7 @@ from palmfield.skin.solvers.particles.solve import solve_particles
 from palmfield.types import Float, Int
 
 HALVINGS = 3
-"""How often a call is begun again with half the step where strain has stiffened the body."""
+"""Largest number of repetitions of a call with half the step, after strain has stiffened the body."""
 
 
 class ParticleLayer(OwnMesh):
@@ -60,7 +60,7 @@ class ParticleLayer(OwnMesh):
 
     @property
     def expected_error(self) -> float:
-        """See OwnMesh: what particles at this distance had on discs."""
+        """See OwnMesh: the error of particles at this distance on discs."""
         return spacing.law_error(self.body, self.planned_load(), self.cloud.columns.spacing_m)
 
     def seconds(self, duration_s: float, device: str) -> float:
@@ -81,7 +81,7 @@ class ParticleLayer(OwnMesh):
         return ParticleStepper(self, transfer, device)
 
     def error(self, device: str) -> float:
-        """Error that `palmfield.skin.solve` states for particles at this distance under the trial load."""
+        """Return the error that `palmfield.skin.solve` states for particles at this distance under the trial load."""
         body, face = self.body, self.cloud.columns.face
         if isinstance(body, Layer):
             return self.expected_error

@@ -27,7 +27,7 @@ class Rule:
 
 @functools.cache
 def rule(order: int) -> Rule:
-    """The rule of order N >= 1 (Canuto et al., Spectral Methods, 2006, sections 2.3 and 3.8)."""
+    """Return the rule of order N >= 1 (Canuto et al., Spectral Methods, 2006, sections 2.3 and 3.8)."""
     top_series = np.zeros(order + 1)
     top_series[order] = 1.0
     inner = np.real(legendre.legroots(legendre.legder(top_series))) if order > 1 else np.zeros(0)
@@ -43,7 +43,7 @@ def rule(order: int) -> Rule:
 
 
 def lagrange(order: int, x: Float) -> Float:
-    """Values of the Lagrange polynomials of the order at x, shape (len(x), n)."""
+    """Return the values of the Lagrange polynomials of the order at x, shape (len(x), n)."""
     vandermonde = legendre.legvander(rule(order).nodes, order)
     at = legendre.legvander(np.asarray(x, dtype=np.float64), order)
     return np.asarray(np.linalg.solve(vandermonde.T, at.T).T, dtype=np.float64)

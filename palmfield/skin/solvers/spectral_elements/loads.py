@@ -55,7 +55,7 @@ def rows_at(load: Load, times: Any, step_s: float) -> tuple[Any, Any]:
 
 
 def table_of(load: Load, solid: Solid, step_s: float, steps: int) -> Table:
-    """The load at `steps` times from its first on."""
+    """Return the load at `steps` times from its first on."""
     times = float(load.times_s[0]) + step_s * np.arange(steps)
     row, share = rows_at(load, times, step_s)
     if isinstance(load, Spot):

@@ -33,7 +33,7 @@ DEPTHS, LEAST = {2: (0.076, 0.75), 3: (0.3, 0.5)}, 0.04
 at order 2 on 22 layers, 1 to 2 % at order 3. And the accuracy below which order 2, with 3 to 4 %, fails."""
 
 GROWTH = 1.3
-"""Growth of elements away from what is watched."""
+"""Growth of elements away from the load and the requested points."""
 
 COARSEST = 2.0
 """Largest element over the fine one."""
@@ -42,7 +42,7 @@ SPONGE_TRANSMITS = 1e-3
 """Remaining share of the amplitude of a shear wave that crosses an ideal sponge and comes back."""
 
 MARGIN = 3.0
-"""Clear way before a sponge, in widths of the load or thicknesses: a sponge holds back slow motion too."""
+"""Distance before a sponge, in widths of the load or thicknesses: a sponge also damps slow motion."""
 
 MOST = 0.995
 """Share of the power of a load below the frequency whose shear waves elements must resolve."""
@@ -67,7 +67,7 @@ class Plan:
 
 
 def fast_speed(material: Material) -> float:
-    """Speed of pressure waves at once [m/s]."""
+    """Return the instantaneous speed of pressure waves [m/s]."""
     return math.sqrt((material.bulk_instant_Pa + 4.0 / 3.0 * material.shear_instant_Pa) / material.density_kg_m3)
 
 
@@ -80,7 +80,7 @@ def plan(
     size_m: float | None = None,
     deep: tuple[int, ...] | None = None,
 ) -> Plan:
-    """Elements for an accuracy; given values are not changed."""
+    """Return the elements for an accuracy; given values are not changed."""
     materials = [sheet.material for sheet in body.sheets]
     width = motion_width(body, load)
     top = course_frequency(load, MOST)
@@ -124,7 +124,7 @@ def through(thicknesses: list[float], size_m: float) -> tuple[int, ...]:
 
 
 def graded(low: float, high: float, fine: tuple[float, float], size_m: float) -> Float:
-    """Lines from low to high, at most size_m apart between `fine`, growing away from it [m]."""
+    """Return the lines from low to high, at most size_m apart between `fine`, growing away from it [m]."""
     inner = (max(low, fine[0]), min(high, fine[1]))
     if inner[1] <= inner[0]:
         inner = (low, high)
@@ -146,7 +146,7 @@ def growing(length: float, first: float, size_m: float) -> Float:
 
 
 def build(body: Body, chosen: Plan) -> tuple[Solid, Float]:
-    """The elements, and the damping rate of the sponge at their nodes [1/s]."""
+    """Return the elements, and the damping rate of the sponge at their nodes [1/s]."""
     order, size = chosen.order, chosen.size_m
     if isinstance(body, Layer):
         solid = extrude(patch_quads(body.patch, order), body.sheets, chosen.deep)

@@ -20,10 +20,10 @@ from warp_kernels import hexa, hexa_steps
 from warp_kernels.hexa import READERS
 
 SAFETY = 0.95
-"""Share of the stable step that is taken: power iteration comes at the largest rate from below, within 2 %."""
+"""Share of the stable step that is used: power iteration approaches the largest rate from below, within 2 %."""
 
 ROUNDS = 60
-"""Power iterations from a random start; tests hold the rate found against a dense eigenvalue."""
+"""Number of power iterations from a random start; tests compare the rate with a dense eigenvalue."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Model:
         self.moduli = self.moduli_of([m.shear_relaxed_Pa for m in self.materials])
 
     def put(self, values: Float) -> Any:
-        """An array with the precision of the model on its device."""
+        """Return an array with the precision of the model on its device."""
         return wp.array(np.asarray(values, dtype=self.dtype), dtype=self.real, device=self.device)
 
     def ints(self, values: Any) -> Any:
@@ -177,7 +177,7 @@ class Model:
     def largest_rate(self, factors: list[float], start: Any) -> float:
         """Largest eigenvalue of M^-1 K over all elements [1/s^2], a bound of the assembled one (Irons & Treharne 1971).
 
-        factors: by sheet, what multiplies the relaxed stiffness of what relaxes
+        factors: by sheet, on the relaxed stiffness of the relaxing part
         start: displacement by position, moved towards the eigenvectors
         """
         own = self.ints(np.arange(self.layout.count))
@@ -231,9 +231,9 @@ def reduced(values: Float, gll: Rule) -> Float:
 
 
 def stiffening_at(material: Material, step_s: float) -> float:
-    """Factor on G_r in the bound of the step: 1 + sum g tanh(x/2) / (x/2) + 2 t / h, x = h / tau.
+    """Return the factor on G_r in the bound of the step: 1 + sum g tanh(x/2) / (x/2) + 2 t / h, x = h / tau.
 
-    At step 0 the dashpot, without bound there, is left out.
+    At step 0 the dashpot is omitted, because its factor is infinite.
     """
     total = 1.0 + (2.0 * material.relaxation.viscous_time_s / step_s if step_s > 0.0 else 0.0)
     for ratio, time_s in material.relaxation.active:

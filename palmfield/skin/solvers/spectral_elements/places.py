@@ -10,11 +10,11 @@ from palmfield.skin.solvers.spectral_elements.solid import Solid
 from palmfield.types import Float, Int
 
 CANDIDATES = 12
-"""Cells, by distance of their centres, in which a point is sought."""
+"""Number of nearest cells in which a point is searched."""
 
 
 def find(solid: Solid, at: Float) -> tuple[Int, Float]:
-    """Surface nodes of the cell that contains each point, and their shares, both (p, n^2).
+    """Return the surface nodes of the cell that contains each point, and their shares, both (p, n^2).
 
     at: points [m], shape (p, 3), or (p, 2) on a plane face; each is moved to the nearest place of the surface.
     Raises SceneError for another shape, numbers that are not finite, and points farther off than the width of a cell.
@@ -59,7 +59,7 @@ def _place(x: Float, a: Float, b: Float) -> Float:
 
 
 def _invert(x: Float, points: Float, order: int) -> Float:
-    """Reference coordinates in [-1, 1]^2 of the places nearest to points, by Gauss-Newton."""
+    """Return the reference coordinates in [-1, 1]^2 of the places nearest to points, by Gauss-Newton."""
     local = np.zeros((len(points), 2))
     derivative = rule(order).derivative
     for _ in range(8):

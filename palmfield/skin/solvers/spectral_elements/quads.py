@@ -28,7 +28,7 @@ class Quads:
 
 
 def number(corners: Int, order: int) -> Int:
-    """Node numbers of quadrilaterals of vertices (m, 4) so that neighbours share nodes, shape (m, n, n).
+    """Return the node numbers of quadrilaterals of vertices (m, 4) so that neighbours share nodes, shape (m, n, n).
 
     Vertices keep their numbers, then come edges from their lower vertex to their higher, then interiors.
     """
@@ -94,7 +94,7 @@ def finish(positions: Float, drops: Float, cells: Int, order: int) -> Quads:
 
 
 def box_quads(x: Float, y: Float, thickness_m: float, order: int) -> Quads:
-    """Rectangles between grid lines x and y [m] in the plane z = 0, the body below."""
+    """Return the rectangles between grid lines x and y [m] in the plane z = 0, the body below."""
     cols, rows = len(x) - 1, len(y) - 1
     i, j = np.meshgrid(np.arange(cols), np.arange(rows), indexing="ij")
     low = (i * (rows + 1) + j).ravel()
@@ -117,7 +117,7 @@ arcs of the rim."""
 
 
 def disc_quads(thickness_m: float, half_m: float, core: int, radii_m: Float, order: int) -> Quads:
-    """A disc: `core` x `core` cells in a bulged square of half width half_m [m], then rings of 4 `core` cells.
+    """Return a disc: `core` x `core` cells in a bulged square of half width half_m [m], then rings of 4 `core` cells.
 
     radii_m: mean outer radius of each ring [m], rising, the last that of the disc; the first begins at the square
     """

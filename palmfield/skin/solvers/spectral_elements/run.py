@@ -17,7 +17,7 @@ from palmfield.types import Float, Int
 from warp_kernels import hexa, hexa_steps
 
 GRAPH_STEPS = 200
-"""Steps that one CUDA graph holds."""
+"""Number of steps in one CUDA graph."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Points:
 
 
 def branch_step(step_s: float, time_s: float) -> tuple[float, float]:
-    """(e, c h) of y <- e y + c h v, exact for v constant over the step: c = (1 - e) tau / h."""
+    """Return (e, c h) of y <- e y + c h v, exact for v constant over the step: c = (1 - e) tau / h."""
     if time_s == 0.0:
         return 0.0, 0.0
     return math.exp(-step_s / time_s), -math.expm1(-step_s / time_s) * time_s
 
 
 def lane_rows(elements: Int, layout: Layout, lanes: int) -> tuple[Int, Int]:
-    """First row of each thread's nodes, (threads + 1,), and rows of one position a lane, flat.
+    """Return the first row of each thread's nodes, (threads + 1,), and rows of one position a lane, flat.
 
     Lanes with fewer elements than the others point at a position of an element of padding, where the force is 0.
     """
@@ -54,7 +54,7 @@ def lane_rows(elements: Int, layout: Layout, lanes: int) -> tuple[Int, Int]:
 
 
 def copies_of(solid: Solid, materials: list[Material]) -> tuple[list[Relaxation], Int, Int]:
-    """A node has a copy of what relaxes for every law that meets there; those of one node lie together.
+    """Return copies of nodes: a node has one for each relaxation law of its elements; copies of one node are adjacent.
 
     Returns the laws, node * laws + law of each copy, rising, and the copies of each element.
     """
@@ -68,7 +68,7 @@ def copies_of(solid: Solid, materials: list[Material]) -> tuple[list[Relaxation]
 
 
 def state_size(solid: Solid, materials: list[Material]) -> int:
-    """Numbers that carry a body through time, see `Stepper.numbers`."""
+    """Return the size of the state of a body, see `Stepper.numbers`."""
     laws, keys, _ = copies_of(solid, materials)
     rows = 1 + max(len(branches) for branches, _ in laws)
     return 3 * (2 * len(solid.nodes) + rows * len(keys))
@@ -211,7 +211,7 @@ class Stepper:
             command.launch()
 
     def advance(self, steps: int) -> None:
-        """Take that many steps. Raises SceneError if the table of the load ends before."""
+        """Do this number of steps. Raises SceneError if the table of the load ends before."""
         if self.done + steps > self.table.steps:
             raise SceneError(
                 f"solver 'spectral_elements': {self.done + steps} steps are requested, but the load table has "
@@ -245,7 +245,7 @@ class Stepper:
         return self.read_u, self.read_v
 
     def _state_arrays(self) -> list[Any]:
-        """The part of the state that a step changes, without the padding: u, v, w, and y of each branch."""
+        """Return the part of the state that a step changes, without the padding: u, v, w, and y of each branch."""
         nodes, copies = len(self.model.solid.nodes), self.copy_count
         strain = [self.strain[branch][:copies] for branch in range(self.most)]
         return [self.u[:nodes], self.v[:nodes], self.w[:copies], *strain]

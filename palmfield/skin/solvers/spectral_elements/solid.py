@@ -31,7 +31,7 @@ class Solid:
     quads: Quads
 
     def place(self, element: int) -> str:
-        """Centre of an element for a message."""
+        """Return the centre of an element for a message."""
         return ", ".join(f"{x:.4g}" for x in self.nodes[self.elements[element]].mean(axis=0))
 
 
@@ -90,17 +90,17 @@ def inside_out(solid: Solid, element: int) -> str:
 
 
 def face_areas(solid: Solid) -> Float:
-    """Outward area vectors of the surface nodes by GLL quadrature [m^2], shape (surface_nodes, 3)."""
+    """Return the outward area vectors of the surface nodes by GLL quadrature [m^2], shape (surface_nodes, 3)."""
     return _areas(solid, solid.nodes[: solid.surface_nodes])
 
 
 def base_areas(solid: Solid) -> Float:
-    """Area vectors of the nodes of the base, out of the body [m^2], shape (surface_nodes, 3)."""
+    """Return the area vectors of the nodes of the base, out of the body [m^2], shape (surface_nodes, 3)."""
     return -_areas(solid, solid.nodes[-solid.surface_nodes :])
 
 
 def cell_areas(x: Float, order: int) -> Float:
-    """Area vectors of the nodes of cells by GLL quadrature [m^2], as their positions x (m, n, n, 3)."""
+    """Return the area vectors of the nodes of cells by GLL quadrature [m^2], as their positions x (m, n, n, 3)."""
     gll = rule(order)
     area = np.cross(np.einsum("im,emjc->eijc", gll.derivative, x), np.einsum("jm,eimc->eijc", gll.derivative, x))
     area *= np.outer(gll.weights, gll.weights)[..., None]

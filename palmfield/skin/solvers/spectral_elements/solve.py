@@ -1,4 +1,4 @@
-"""Explicit spectral elements behind the skin solvers' common call."""
+"""Explicit spectral elements with the common call of the skin solvers."""
 
 import math
 import time
@@ -62,7 +62,7 @@ WINDOW = 0.05
 """Share of the time that the second run takes where it has the higher order."""
 
 STIFFEST = 1e5
-"""Bulk over shear modulus at once, above which the step is so small that the solver refuses (nu 0.499995)."""
+"""Instantaneous bulk over shear modulus above which the step is so small that the solver refuses (nu 0.499995)."""
 
 COURANT = {1: 0.587, 2: 0.477, 3: 0.406, 4: 0.345, 5: 0.295}
 """Stable step of a cube times wave speed over node spacing (size / N), nu 0.495; higher orders like 1.5 / (N + 0.1)."""
@@ -74,21 +74,23 @@ MAKING = (0.012, 6e-5)
 """Seconds that a mesh and its stable step take, and by element (docs/bench/skin_costs.md)."""
 
 LIKELY = 1.2
-"""Step that is likely over the one found: 1.05 to 1.4 on 11 slabs and layers without much viscosity."""
+"""Ratio of the estimated to the computed step: 1.05 to 1.4 on 11 slabs and layers without much viscosity."""
 
 REPEATED, FEW, THIN = (1.2, 3.0), 50, 0.5
 """Seconds of all solutions of a slab over those of the first. The second applies on discs of less than FEW elements
 with a singular fixed edge (8 of 20 missed) and where it is THIN, in widths of the load (8 of 11)."""
 
 BY_NODES, ROOM, MOST_MISS = 1.5, 0.8, 10.0
-"""Power of its nodes by which the error of a mesh falls, 0.4 to 2.5 on 40 bodies; share of the target; miss at once."""
+"""Power of the number of nodes with which the error of a mesh falls, 0.4 to 2.5 on 40; share of the target; first
+miss.
+"""
 
 GPU_COST = (0.035e-9, 0.1e-9, 5e-6)
 """The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
 
 
 def refusal_spectral_elements(body: Body, load: Load) -> str | None:
-    """Why solver spectral_elements cannot take this problem, in a sentence, or None."""
+    """Return why solver spectral_elements refuses a problem, in a sentence, or None."""
     if isinstance(body.base, Foundation):
         return ONLY_WEDGES
     if isinstance(body, Layer) and body.side == "absorbing":
@@ -111,7 +113,7 @@ def refusal_spectral_elements(body: Body, load: Load) -> str | None:
 
 
 def cost_spectral_elements(problem: SkinProblem) -> float:
-    """Predicted seconds of `solve_spectral_elements`, from the size of its mesh and its step.
+    """Return the predicted seconds of `solve_spectral_elements`, from the size of its mesh and its step.
 
     The body has the bulk modulus that the solver takes (reduce_bulk_modulus). Raises SceneError above LONGEST_S.
     """
@@ -142,7 +144,7 @@ def cost_spectral_elements(problem: SkinProblem) -> float:
 
 
 def prepared_spectral_elements(problem: SkinProblem) -> tuple[Body, dict[str, Any]]:
-    """The body with the bulk modulus that it takes, and what `solve_spectral_elements` takes up of that."""
+    """Return the body with its bulk modulus, and the data of it that `solve_spectral_elements` reuses."""
     softened = reduce_bulk_modulus(
         problem.body, problem.load, float(problem.times[-1]), problem.at, problem.accuracy, None
     )
@@ -150,7 +152,7 @@ def prepared_spectral_elements(problem: SkinProblem) -> tuple[Body, dict[str, An
 
 
 def finer_spectral_elements(problem: SkinProblem, miss: float, **last: Any) -> Any:
-    """Order, width and depth of likely elements where the `last` ones, if not the first, missed by a factor `miss`."""
+    """Return order, width and depth of finer elements, after the error of the `last` was `miss` times too large."""
     body, load, at, accuracy = problem.body, problem.load, problem.at, problem.accuracy
     finer = plan(body, load, at, accuracy, **last)
     needed = (min(miss, MOST_MISS) / ROOM) ** (1.0 / BY_NODES) * len(build(body, finer)[0].nodes)
@@ -161,11 +163,10 @@ def finer_spectral_elements(problem: SkinProblem, miss: float, **last: Any) -> A
 
 
 def comparison_plan(body: Body, chosen: Plan, singular: bool) -> Plan:
-    """The mesh by which the error is estimated: wider elements, or another order where those would be the same ones.
-
-    That is so on a given patch of triangles and where few elements lie under the load. Near a singular fixed edge,
-    wider elements may be the same ones at the edge, and show no error. Order 1 has no lower one: the next higher
-    estimates its error, in a shorter time (`window`). A sponge is smaller too.
+    """Return the mesh for the error estimate: wider elements, or another order if those would be the same elements.
+    This happens on a given patch of triangles and if few elements lie under the load. Near a singular fixed edge, wider
+    elements may be the same ones at the edge, and show no error. Order 1 has no lower one: the next higher estimates
+    its error, in a shorter time (`window`). A sponge is smaller too.
     """
     margin, sponge = 0.6 * chosen.margin_m, 0.8 * chosen.sponge_m
     if not isinstance(body, Layer) and not singular:
@@ -179,12 +180,12 @@ def comparison_plan(body: Body, chosen: Plan, singular: bool) -> Plan:
 
 
 def at_lower_order(chosen: Plan) -> Plan:
-    """The same elements of the next lower order, in a smaller sponge."""
+    """Return the same elements of the next lower order, in a smaller sponge."""
     return replace(chosen, order=chosen.order - 1, margin_m=0.6 * chosen.margin_m, sponge_m=0.8 * chosen.sponge_m)
 
 
 def width_under(solid: Solid, chosen: Plan) -> float:
-    """Mean width [m] of the cells whose middle is watched, or of the nearest one."""
+    """Return the mean width [m] of the cells whose middle is watched, or of the nearest one."""
     corners = solid.quads.nodes[solid.quads.cells[:, [0, 0, -1, -1], [0, -1, -1, 0]]]
     middles = corners.mean(axis=1)[:, :2]
     low, high = chosen.watched_m.T
@@ -195,7 +196,7 @@ def width_under(solid: Solid, chosen: Plan) -> float:
 
 
 def window(body: Body, chosen: Plan, singular: bool, load: Load, times: Float) -> float:
-    """Time [s] up to which the second run goes: the last requested, or a twentieth of the way where it costs more."""
+    """Return the end of the second run [s]: the last requested time, or a twentieth of it if the run costs more."""
     if chosen.order == 1 and comparison_plan(body, chosen, singular).order == 2:
         pressing = load.peak_Pa if isinstance(load, Spot) else np.abs(load.pressure_Pa).max(axis=1)
         start = float(load.times_s[max(0, int(np.argmax(pressing != 0.0)) - 1)])
@@ -226,7 +227,7 @@ def solve_spectral_elements(
     material unchanged.
     estimate: False leaves the second run out; the error is then NaN.
     softened: result of reduce_bulk_modulus for the body, where available.
-    Raises SceneError for a problem that `refusal_spectral_elements` names, an element inside out, a step above the
+    Raises SceneError if `refusal_spectral_elements` returns a reason, for an element inside out, a step above the
     stable one, and points off the face.
     """
     began = time.perf_counter()
@@ -291,14 +292,14 @@ def solve_spectral_elements(
 
 
 def lifted_points(body: Body, points: Float) -> Float:
-    """Points (n, 3) from points (n, 2 or 3): those of a layer lie on its face, those of a slab at z = 0."""
+    """Return the points (n, 3) from points (n, 2 or 3): those of a layer lie on its face, those of a slab at z = 0."""
     if points.shape[1] == 3:
         return points
     return points_on_face(body, points)
 
 
 def prepared(body: Body, chosen: Plan, device: str, precision: str) -> tuple[Model, Holds, float]:
-    """Elements, what holds them, and their stable step [s]: what runs on one mesh share."""
+    """Return elements, constraints and stable step [s], which runs on one mesh share."""
     solid, damping = build(body, chosen)
     model = Model(solid, body.sheets, device, precision)
     side = body.side if isinstance(body, Layer) or chosen.sponge_m == 0.0 else "absorbing"
@@ -309,7 +310,7 @@ def prepared(body: Body, chosen: Plan, device: str, precision: str) -> tuple[Mod
 def march(
     made: tuple[Model, Holds, float], load: Load, times: Float, points: Float, step_s: float | None = None
 ) -> tuple[Float, Float, int, float]:
-    """Displacement and velocity, (t, n, 3), elements and step of one run."""
+    """Return the displacement and velocity, (t, n, 3), elements and step of one run."""
     model, holds, stable = made
     solid, step = model.solid, SAFETY * stable if step_s is None else step_s
     start = float(load.times_s[0])
@@ -325,7 +326,7 @@ def march(
     u, v = (np.concatenate([np.zeros((1, len(points), 3)), a.numpy()[: len(target)]]) for a in stepper.readings())
 
     def row(step_number: Any) -> Any:
-        """Reading after a step; before the first the body rests."""
+        """Return the reading after a step; before the first the body rests."""
         return np.where(step_number < 0, 0, 1 + np.searchsorted(target, np.maximum(step_number, 0)))
 
     before, here, after = (v[row(first + k)] for k in (-1, 0, 1))
@@ -339,13 +340,13 @@ def march(
 
 
 def step_seconds(solid: Solid, gpu: bool) -> float:
-    """Predicted seconds of one step of the scheme."""
+    """Return the predicted seconds of one step of the scheme."""
     rates = GPU_COST if gpu else CPU_COST
     return solid.elements.size * rates[0] + len(solid.nodes) * rates[1] + rates[2]
 
 
 def likely_step(solid: Solid, sheets: tuple[Sheet, ...]) -> float:
-    """About the next step [s], from heights in the middle of elements: 1.1 to 1.4 of it on layers."""
+    """Return an estimate of the stable step [s], from heights in the middle of elements: 1.1 to 1.4 of it on layers."""
     n = solid.order + 1
     corners = solid.nodes[solid.elements.reshape(-1, n, n, n)[:, [0, -1]][:, :, [0, -1]][..., [0, -1]]]
     edges = [np.diff(corners, axis=axis).squeeze(axis).mean(axis=(1, 2)) for axis in (1, 2, 3)]

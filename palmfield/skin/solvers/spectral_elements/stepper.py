@@ -20,7 +20,7 @@ from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
 from palmfield.types import Float, Int
 
 LONGEST_GRAPH = 2000
-"""Steps that one CUDA graph of a call holds at most."""
+"""Largest number of steps in one CUDA graph of a call."""
 
 
 class ElementLayer(OwnMesh):
@@ -44,7 +44,7 @@ class ElementLayer(OwnMesh):
 
     @locked_cached_property
     def chosen(self) -> Plan:
-        """Order and size of the elements."""
+        """Return order and size of the elements."""
         load, config = self.planned_load(), self.layer.config
         demand = self.layer.demand
         reach = min(demand.path_reach_m[1] + math.hypot(*demand.offset_m[:2]), config.radius_m or math.inf)
