@@ -45,13 +45,16 @@ def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
     free: NDArray[np.bool_] = np.ones(len(points), np.bool_)
     for number, (nodes, faces, normals) in enumerate(skins):
         over, rim = _dense(nodes, faces)
-        away, nearest = cKDTree(over).query(points)
+        # Beyond this distance the search ends without a point, whose number is then that of the points
+        away, nearest = cKDTree(over).query(points, distance_upper_bound=COVERED_M)
         # A vertex whose nearest point is on the rim is outside the skin
-        vertex = np.flatnonzero(free & (away < COVERED_M) & ~rim[nearest]).astype(np.int32)
+        vertex = np.flatnonzero(free & (away < COVERED_M) & ~np.append(rim, True)[nearest]).astype(np.int32)
         free[vertex] = False
         node = cKDTree(nodes).query(over[nearest[vertex]])[1].astype(np.int32)
         above = np.einsum("ij,ij->i", points[vertex] - over[nearest[vertex]], normals[node])
-        inside = cKDTree(over[rim]).query(points[vertex])[0] if rim.any() else np.full(len(vertex), SUNK_M)
+        inside = np.full(len(vertex), SUNK_M)
+        if rim.any():
+            inside = cKDTree(over[rim]).query(points[vertex], distance_upper_bound=SUNK_M / SLOPE)[0]
         depth = np.maximum(above, 0.0) + np.minimum(SLOPE * inside, SUNK_M)
         found.append(Under(vertex, np.full(len(vertex), number, np.int32), node, depth))
     return Under(*(np.concatenate(parts) for parts in zip(*found, strict=True)))

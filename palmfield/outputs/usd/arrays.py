@@ -79,19 +79,18 @@ class ArrayWriter:
         """Write frames, which must be later than earlier ones."""
         codes, times = clock.codes[frames].tolist(), clock.times_s[frames]
         if self._poses is not None:
-            for code, time_s in zip(codes, times.tolist(), strict=True):
-                self._moves.add(code, self._poses[nearest(self._step_times, time_s)])
+            now = [nearest(self._step_times, time_s) for time_s in times.tolist()]
+            self._moves.extend(codes, self._poses[now])
         if self._drive is None:
             return
         array = self._array
-        now = drive_frames(self._frame_times, times)
-        sizes = rows_at(array["drive_amplitude"], "frame_time", now)
-        phases = np.mod(rows_at(array["drive_phase"], "frame_time", now).astype(float), TURN)
+        driven = drive_frames(self._frame_times, times)
+        sizes = rows_at(array["drive_amplitude"], "frame_time", driven)
+        phases = np.mod(rows_at(array["drive_phase"], "frame_time", driven).astype(float), TURN)
         amplitudes, turns, numbers = self._drive
-        for code, size, phase in zip(codes, sizes, phases, strict=True):
-            amplitudes.add(code, self._roundings[0].of(size))
-            turns.add(code, self._roundings[1].of(phase))
-            numbers.add(code, np.tile(_numbers(self._palette, size, phase), 2))
+        amplitudes.extend(codes, self._roundings[0].of(sizes))
+        turns.extend(codes, self._roundings[1].of(phases))
+        numbers.extend(codes, np.tile(_numbers(self._palette, sizes, phases), 2))
 
 
 def _numbers(palette: Palette, size: Float, phase: Float) -> Int:

@@ -16,7 +16,7 @@ from palmfield.outputs.usd.quantise import rounding
 from palmfield.outputs.usd.samples import Samples
 from palmfield.outputs.usd.skeleton import BoneMoves, add_skeleton, bind, identifiers
 from palmfield.outputs.usd.skins import LOUDEST, SkinWriter
-from palmfield.types import Float, Float32, Int
+from palmfield.types import Float, Int
 
 SKIN_COLOUR = (0.70, 0.47, 0.36)
 """Colour of bodies and their skins without a coloured quantity."""
@@ -53,7 +53,6 @@ class BodyWriter:
             (one for one in (body, forces, *surfaces) if one is not None and has_records(one, "step_time")), None
         )
         self._step_times: Float = np.zeros(0) if timed is None else timed["step_time"].values
-        self._arp: Float32 = np.zeros(0, np.float32)
         prim = (UsdSkel.Root if boned else UsdGeom.Xform).Define(stage, path)
         self._moves = Moves(prim)
         meshes: list[tuple[UsdGeom.Mesh, xr.Dataset, Int | slice]] = []
@@ -123,30 +122,26 @@ class BodyWriter:
     def write(self, clock: Clock, frames: slice) -> None:
         """Write frames, which must be later than earlier ones; skins are written separately."""
         codes, times = clock.codes[frames].tolist(), clock.times_s[frames]
-        for code, time_s in zip(codes, times.tolist(), strict=True):
-            now = nearest(self._step_times, time_s) if len(self._poses) > 1 else 0
-            self._moves.add(code, self._poses[now])
-            if self._bones is not None:
-                self._bones[0].add(code, self._bones[1][now])
+        now = [nearest(self._step_times, time_s) if len(self._poses) > 1 else 0 for time_s in times.tolist()]
+        self._moves.extend(codes, self._poses[now])
+        if self._bones is not None:
+            self._bones[0].extend(codes, self._bones[1][now])
         if not self._forces and self._pressed is None:
             return
         steps = steps_of(self._step_times, times)
         for values, samples in self._forces:
-            for code, row in zip(codes, values[steps], strict=True):
-                samples.add(code, row)
+            samples.extend(codes, values[steps])
         if self._pressed is not None:
             surface, rounded, samples = self._pressed
-            pressed, last = rows_at(surface["face_arp"], "step_time", steps), -1
-            for code, step, row in zip(codes, steps.tolist(), pressed, strict=True):
-                if step != last:
-                    # Rounding relative to the range at this time, so that small forces are as accurate as large ones
-                    own = rounding(float(row.min()), float(row.max()), rounded.weights, FORCE_PART)
-                    self._arp, last = own.of(row), step
-                samples.add(code, self._arp)
+            found, each = np.unique(steps, return_inverse=True)
+            pressed = rows_at(surface["face_arp"], "step_time", found)
+            # Rounding relative to the range at this time, so that small forces are as accurate as large ones
+            own = [rounding(float(row.min()), float(row.max()), rounded.weights, FORCE_PART) for row in pressed]
+            samples.extend(codes, np.stack([one.of(row) for one, row in zip(own, pressed, strict=True)])[each])
 
     def stand(self) -> None:
         """Write the pose of the body for a run without times."""
-        self._moves.add(0.0, self._poses[0])
+        self._moves.extend([0.0], self._poses[:1])
 
 
 def steps_of(step_times: Float, times_s: Float) -> Int:

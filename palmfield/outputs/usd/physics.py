@@ -77,10 +77,10 @@ class PhysicsWriter:
         """Write frames, which must be later than earlier ones."""
         if self._poses is None:
             return
-        for code, time_s in zip(clock.codes[frames].tolist(), clock.times_s[frames].tolist(), strict=True):
-            now = self._poses[nearest(self._step_times, time_s)]
-            for number, moves in self._moves.items():
-                moves.add(code, now[number])
+        codes = clock.codes[frames].tolist()
+        poses = self._poses[[nearest(self._step_times, time_s) for time_s in clock.times_s[frames].tolist()]]
+        for number, moves in self._moves.items():
+            moves.extend(codes, poses[:, number])
 
     def stand(self) -> None:
         """Write poses of the bodies with all joints at their reference, for a run without steps."""
@@ -92,7 +92,7 @@ class PhysicsWriter:
             turn = _rotation(outer[3:])
             poses[number, :3] = outer[:3] + turn.apply(own[:3])
             poses[number, 3:] = np.roll((turn * _rotation(own[3:])).as_quat(), 1)
-            self._moves[number].add(0.0, poses[number])
+            self._moves[number].extend([0.0], poses[number : number + 1])
 
     def _add_body(self, number: int) -> None:
         scene = self._scene

@@ -1,6 +1,6 @@
 """Add meshes, curves and primvars for all parts of a USD scene."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -109,7 +109,7 @@ class Moves:
             Samples(prim.AddOrientOp(precise).GetAttr(), lambda turn: Gf.Quatd(*turn.tolist())),
         )
 
-    def add(self, code: float, pose: Float) -> None:
-        """Add a pose of seven numbers at a time code."""
-        for op, part in zip(self._ops, (pose[:3], pose[3:]), strict=True):
-            op.add(code, part)
+    def extend(self, codes: Sequence[float], poses: Float) -> None:
+        """Add poses, shape (n, 7), at rising time codes."""
+        for op, part in zip(self._ops, (poses[:, :3], poses[:, 3:]), strict=True):
+            op.extend(codes, part)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.types import Float, Float32
+from palmfield.types import Float, Float32, Int
 
 PART = 255
 """Range divided by the largest error."""
@@ -27,20 +27,34 @@ class Rounding(NamedTuple):
     weights: Float | None = None
 
     def of(self, values: NDArray[np.floating]) -> Float32:
-        """Return the rounded values of one time, shape (n,)."""
+        """Return the rounded values of one time, shape (n,), or of several, shape (t, n)."""
         exact: Float = np.asarray(values, np.float64)
         if self.step == 0.0:
             return exact.astype(np.float32)
-        steps = exact / self.step
         if self.weights is None:
-            return np.asarray(np.rint(steps) * self.step + 0.0, np.float32)
+            return np.asarray(np.rint(exact / self.step) * self.step + 0.0, np.float32)
+        if exact.ndim > 1:
+            return np.array([self.of(row) for row in exact], np.float32)
+        steps = exact / self.step
         whole: Float = np.floor(steps)
         rest = steps - whole
-        order = np.argsort(-rest, kind="stable")
-        added = np.cumsum(self.weights[order])
-        up = order[: int(np.searchsorted(added, float(np.add.reduce(self.weights * rest))))]
-        whole[up] += 1.0
+        whole[_largest(rest, self.weights, float(np.add.reduce(self.weights * rest)))] += 1.0
         return np.asarray(whole * self.step + 0.0, np.float32)
+
+
+def _largest(values: Float, weights: Float, total: float) -> Int:
+    """Return the indices of the largest values, from 0 to 1, whose weights add up to less than a total."""
+    # Short integers are sorted ten times as fast as floats, which are sorted only where the sum passes the total
+    coarse = (-32767.0 * values).astype(np.int16)
+    order = np.argsort(coarse, kind="stable")
+    added = np.cumsum(weights[order])
+    passes = int(np.searchsorted(added, total))
+    if passes == len(order):
+        return order
+    low, high = np.searchsorted(coarse[order], coarse[order[passes]] + np.array([0, 1]))
+    equal = order[low:high][np.argsort(-values[order[low:high]], kind="stable")]
+    more = np.cumsum(weights[equal]) + (added[low - 1] if low else 0.0)
+    return np.concatenate([order[:low], equal[: int(np.searchsorted(more, total))]])
 
 
 def rounding(low: float, high: float, weights: Float | None = None, part: int = PART) -> Rounding:

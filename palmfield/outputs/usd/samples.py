@@ -1,11 +1,11 @@
 """Write an attribute over time, with samples only at changes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Usd
+from pxr import Sdf, Usd
 
 Make = Callable[[NDArray[Any]], Any]
 """Converts an array to a USD value."""
@@ -23,6 +23,16 @@ class Samples:
         self._last: NDArray[Any] | None = None
         self._written: float | None = None
         self._begun = self._until = 0.0
+
+    def extend(self, codes: Sequence[float], values: NDArray[Any]) -> None:
+        """Add values, shape (n, ...), at n rising time codes, which must be later than earlier ones."""
+        changes = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
+        with Sdf.ChangeBlock():
+            for number in [0, *(np.flatnonzero(changes) + 1).tolist()]:
+                if number:
+                    self._until = codes[number - 1]
+                self.add(codes[number], values[number])
+        self._until = codes[-1]
 
     def add(self, code: float, value: NDArray[Any]) -> None:
         """Add the value at a time code, which must be later than earlier ones."""

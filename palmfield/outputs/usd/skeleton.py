@@ -1,6 +1,6 @@
 """Write the bones of an articulated hand to USD: a skeleton with moving joints, and meshes bound to it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import xarray as xr
 from pxr import Gf, Tf, Usd, UsdGeom, UsdSkel, Vt
@@ -50,10 +50,10 @@ class BoneMoves:
             animation.CreateRotationsAttr(), lambda turns: Vt.QuatfArray([Gf.Quatf(*turn) for turn in turns.tolist()])
         )
 
-    def add(self, code: float, poses: Float) -> None:
-        """Add poses of all bones in the body frame, shape (bones, 7), at a time code."""
-        self._moves.add(code, poses[:, :3])
-        self._turns.add(code, poses[:, 3:])
+    def extend(self, codes: Sequence[float], poses: Float) -> None:
+        """Add poses of all bones in the body frame, shape (n, bones, 7), at rising time codes."""
+        self._moves.extend(codes, poses[..., :3])
+        self._turns.extend(codes, poses[..., 3:])
 
 
 def bind(mesh: UsdGeom.Mesh, skeleton: UsdSkel.Skeleton, bones: Int, weights: Float32) -> None:

@@ -1,6 +1,6 @@
 """Write the skins of a run to USD: quantities at each vertex over time, colours and magnified motion."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,12 +79,12 @@ class _Track(NamedTuple):
     samples: Samples
     colour: tuple[Palette, Samples] | None
 
-    def add(self, code: float, values: Float32) -> None:
-        """Add the values at a time code."""
-        self.samples.add(code, self.rounding.of(values))
+    def extend(self, codes: Sequence[float], values: Float32, rows: Any = slice(None)) -> None:
+        """Add values at rising time codes; rows: of the values, shape (t, vertices), for each code"""
+        self.samples.extend(codes, self.rounding.of(values)[rows])
         if self.colour is not None:
             palette, numbers = self.colour
-            numbers.add(code, palette.numbers(values))
+            numbers.extend(codes, palette.numbers(values)[rows])
 
 
 class SkinWriter:
@@ -111,8 +111,6 @@ class SkinWriter:
                 add_primvar(self.mesh.GetPrim(), name, "Pa", sign, {}).Set(floats(skin[name].values[self.order]))
         self._tracks: dict[str, _Track] = {}
         self._levels: LevelCourse | None = None
-        self._window = -1
-        self._row: Float32 = np.zeros(0, np.float32)
         self._magnify: tuple[float, Any] | None = None
 
     def add_quantity(self, name: str, low: float, high: float, palette: Palette | None, **facts: Any) -> None:
@@ -152,23 +150,16 @@ class SkinWriter:
 
     def write(self, clock: Clock, frames: slice) -> None:
         """Write frames, which must be later than earlier ones."""
-        times = result_times(clock, frames)
-        columns = {name: values_at(self._skin, track.quantity, times)[:, self.order]
-                   for name, track in self._tracks.items() if track.quantity.variable}  # fmt: skip
-        for name, values in columns.items():
-            for code, row in zip(clock.codes[frames], values, strict=True):
-                self._tracks[name].add(float(code), row)
-        self._write_levels(clock, frames)
+        times, codes = result_times(clock, frames), clock.codes[frames].tolist()
+        for track in self._tracks.values():
+            if track.quantity.variable:
+                track.extend(codes, values_at(self._skin, track.quantity, times)[:, self.order])
+        if self._levels is not None:
+            each = [self._levels.window_at(time_s) for time_s in clock.times_s[frames].tolist()]
+            windows, rows = np.unique(each, return_inverse=True)
+            levels = np.stack([self._levels.levels(window) for window in windows.tolist()])
+            self._tracks["level"].extend(codes, levels[:, self.order], rows)
         self._write_points(clock, frames)
-
-    def _write_levels(self, clock: Clock, frames: slice) -> None:
-        if self._levels is None:
-            return
-        for time_s, code in zip(clock.times_s[frames], clock.codes[frames], strict=True):
-            window = self._levels.window_at(float(time_s))
-            if window != self._window:
-                self._window, self._row = window, self._levels.levels(window)[self.order]
-            self._tracks["level"].add(float(code), self._row)
 
     def _write_points(self, clock: Clock, frames: slice) -> None:
         if self._magnify is None:
@@ -177,11 +168,12 @@ class SkinWriter:
         rest = self._skin["rest_position"].values[self.order]
         normals = self._skin["rest_normal"].values[self.order]
         motion = values_at(self._skin, QUANTITIES["normal_displacement"], result_times(clock, frames))[:, self.order]
+        moved = (rest + factor * motion[:, :, None].astype(np.float64) * normals).astype(np.float32)
+        boxes = np.stack([moved.min(axis=1), moved.max(axis=1)], axis=1)
         variants.SetVariantSelection(MAGNIFIED)
-        with variants.GetVariantEditContext():
+        with variants.GetVariantEditContext(), Sdf.ChangeBlock():
             points, extent = self.mesh.GetPointsAttr(), self.mesh.GetExtentAttr()
-            for code, row in zip(clock.codes[frames].tolist(), motion.astype(np.float64), strict=True):
-                moved = vectors(rest + factor * row[:, None] * normals)
-                points.Set(moved, code)
-                extent.Set(UsdGeom.PointBased.ComputeExtent(moved), code)
+            for code, row, box in zip(clock.codes[frames].tolist(), moved, boxes, strict=True):
+                points.Set(vectors(row), code)
+                extent.Set(vectors(box), code)
         variants.SetVariantSelection(REST)

@@ -59,7 +59,7 @@ class StimulusWriter:
         foci = self._stimulus["foci"].isel(time=times).values
         sounding = self._stimulus["sounding"].isel(time=times).values
         crosses, places, visible = self._samples
-        for code, points, on in zip(clock.codes[frames].tolist(), foci, sounding, strict=True):
-            crosses.add(code, (points[:, None] + CROSS).reshape(-1, 3))
-            places.add(code, points)
-            visible.add(code, np.asarray(on))
+        codes = clock.codes[frames].tolist()
+        crosses.extend(codes, (foci[:, :, None] + CROSS).reshape(len(codes), -1, 3))
+        places.extend(codes, foci)
+        visible.extend(codes, sounding)

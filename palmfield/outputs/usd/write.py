@@ -144,11 +144,12 @@ def _write(
     for frames in frame_blocks(largest, clock, SAVE_EVERY):
         for writer in writers:
             writer.write(clock, frames)
-        for number in range(frames.start, frames.stop):
-            times.add(float(clock.codes[number]), clock.times_s[number])
-        file.save(float(clock.codes[frames.stop - 1]))
+        times.extend(clock.codes[frames].tolist(), clock.times_s[frames])
+        if frames.stop < len(clock.codes):
+            file.save(float(clock.codes[frames.stop - 1]))
         if on_frame is not None:
             on_frame(frames.stop, len(clock.codes))
+    stage.SetEndTimeCode(float(clock.codes[-1]))
 
 
 def _add_bodies(stage: Usd.Stage, result: xr.DataTree, colour: tuple[float, ...]) -> list[BodyWriter]:
