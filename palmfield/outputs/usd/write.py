@@ -289,12 +289,16 @@ def _corners(root: Usd.Prim) -> Float:
 def _points(result: xr.DataTree, times: list[float]) -> Float:
     """Return points of all bodies and arrays at some times, in the world [m], shape (n, 3)."""
     groups, surfaces = instances(result, "body"), instances(result, "surface")
-    found = [np.empty((0, 3))]
+    found: list[Float] = []
     for time_s in dict.fromkeys(times):
+        now = [np.empty((0, 3))]
         for name, skin in instances(result, "skin").items():
-            found.append(in_world(surfaces.get(name, skin), groups.get(name), time_s))
+            now.append(in_world(surfaces.get(name, skin), groups.get(name), time_s))
         for array in instances(result, "array").values():
-            found.append(to_world(array["transducer_position"].values, pose_at(array, time_s)))
+            now.append(to_world(array["transducer_position"].values, pose_at(array, time_s)))
+        # Of a scene that stands still, the points at one time are enough
+        if not found or not np.array_equal(found[-1], np.concatenate(now)):
+            found.append(np.concatenate(now))
     return np.concatenate(found)
 
 
