@@ -3,7 +3,7 @@
 import shlex
 from pathlib import Path
 
-from palmfield.acoustics.arrays import layout as known_layout
+from palmfield.acoustics.arrays import layout as layout_named
 from palmfield.acoustics.calibration_file import Calibration, Pose, read_calibration, write_calibration
 from palmfield.drive.calibration.openmpd_file import read_board_file
 from palmfield.drive.calibration.readings import MEASUREMENTS, Circumstances, measured
@@ -33,7 +33,7 @@ def add_readings(kind: str, readings: Path, board: Path, layout: str | None, cir
         raise SceneError(f"{board} does not exist; to begin a new calibration give the array layout (--layout NAME)")
     else:
         calibration = Calibration(layout=layout)
-    result = measured(kind, readings, calibration, known_layout(calibration.layout), circumstances)
+    result = measured(kind, readings, calibration, layout_named(calibration.layout), circumstances)
     write_calibration(board, result.calibration)
     return list(result.report)
 
@@ -52,7 +52,7 @@ def imported(file: Path, board: Path) -> list[str]:
 def described(board: Path, png: Path | None) -> list[str]:
     """Describe a calibration file line by line, with missing parts; draw it if `png` is not None."""
     calibration = read_calibration(board)
-    array = known_layout(calibration.layout)
+    array = layout_named(calibration.layout)
     lines = [f"calibration of {calibration.layout}, {len(array)} transducers"]
     lines += [_estimate("p0", "Pa m", calibration.p0), _estimate("Q", "", calibration.quality)]
     lines.append(_estimate("resonance", "Hz", calibration.resonance_Hz))
@@ -86,7 +86,7 @@ def described(board: Path, png: Path | None) -> list[str]:
 
 def rehearsed(layout: str, folder: Path, seed: int) -> list[str]:
     """Write the files of a rehearsal; return their list and the next commands."""
-    lines = [f"wrote {path}" for path in rehearse(known_layout(layout), folder, seed)]
+    lines = [f"wrote {path}" for path in rehearse(layout_named(layout), folder, seed)]
     lines.append(f"{TRUTH} lists the true values behind the readings. Next:")
     for kind in MEASUREMENTS:
         options = f" --focus {' '.join(map(str, FOCUS_M))}" if kind in NEEDS_FOCUS else ""

@@ -42,7 +42,7 @@ class FocusSound:
 
 @dataclass(frozen=True)
 class FocusBoard:
-    """A board, its array and its sound. p0: of the layout or calibration; said: messages for the user
+    """A board, its array and its sound. p0: of the layout or calibration; notes: messages for the user
 
     sound: without modulation made by the board; layout: of the array
     """
@@ -53,7 +53,7 @@ class FocusBoard:
     sound: FocusSound
     driver: DriverConfig
     layout: str
-    said: tuple[str, ...]
+    notes: tuple[str, ...]
 
     def unit(self, place: Float) -> Complex:
         """Return amplitudes of all transducers for a focus [m] at full level. Raises SceneError if it is impossible."""
@@ -121,13 +121,13 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
     driver = cast(DriverConfig, parse(DriverConfig, {**texts, "board": board}, element))
     with naming_keys(element, driver):
         chosen = board_of(driver, len(array), calibrated=sound.calibration is not None, address=array.address)
-    said = []
+    notes = []
     if chosen.modulates:
         # The board itself modulates, for any focus
         if sound.am_frequency_Hz > 0.0:
             chosen, sound = chosen.modulating(sound.am_frequency_Hz), replace(sound, am_frequency_Hz=0.0)
         else:
-            said.append(f"{board} always modulates, at its own frequency; give another by --am-frequency")
+            notes.append(f"{board} always modulates, at its own frequency; give another by --am-frequency")
     modulated = sound.am_frequency_Hz > 0.0 or sound.level not in (0.0, 1.0)
 
     def able() -> list[str]:
@@ -137,7 +137,7 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
         chosen, frame_rate_Hz=0.0, modulated=modulated, element="focus", modulation_Hz=sound.am_frequency_Hz,
         instead=able, plainly="no --am-frequency and --level 1",
     )  # fmt: skip
-    return FocusBoard(chosen, array, p0, sound, driver, name, tuple(said))
+    return FocusBoard(chosen, array, p0, sound, driver, name, tuple(notes))
 
 
 def am_share(time_s: float, frequency_Hz: float) -> float:

@@ -20,7 +20,7 @@ from palmfield.drive.player import Player
 from palmfield.errors import DeviceError, PalmfieldError, SceneError
 from palmfield.hardware.focus_board import FocusBoard, FocusSound, am_share, focus_board
 from palmfield.hardware.play import Performance, Target, check_log, played_in_words
-from palmfield.hardware.safety.exposure import Heard, SoundMoment, at_head, check_head, with_band
+from palmfield.hardware.safety.exposure import Exposure, SoundMoment, at_head, check_head, with_band
 from palmfield.motion.line_listener import STALE_S, By
 from palmfield.types import Complex, Float
 
@@ -91,17 +91,17 @@ def play_live(
     report = player.played
     done = played_in_words(report, made.board, target.port)
     check_log(player, target.log, f"{done}; ")
-    said = [*made.said, *([words] if (words := limits.in_words(made.board)) else []), listener.report()]
+    notes = [*made.notes, *([words] if (words := limits.in_words(made.board)) else []), listener.report()]
     if waits := [on_line - session.came_s[number] for number, on_line in report.on_line if number in session.came_s]:
         median, most = 1e3 * float(np.median(waits)), 1e3 * float(np.percentile(waits, 95))
-        said.append(
+        notes.append(
             f"delay from the arrival of a focus to its last byte on the line: median {median:.1f} ms, 95 % "
             f"{most:.1f} ms"
         )
     if silent and not silent.startswith("no frame"):
-        said.append(f"the board was silenced: {silent}")
+        notes.append(f"the board was silenced: {silent}")
     return Performance(done, report.warning if made.sound.am_frequency_Hz > 0.0 else "").saying(
-        *said, *listener.reported
+        *notes, *listener.reported
     )
 
 
@@ -176,7 +176,7 @@ class _Live:
         self._sent += 1
 
 
-def _most_at_head(made: FocusBoard) -> Heard:
+def _most_at_head(made: FocusBoard) -> Exposure:
     """Return the sound at the loudest point of a head with the focus there: live foci are not known in advance."""
     array, air = made.array, made.sound.air
     wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)

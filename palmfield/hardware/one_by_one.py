@@ -68,16 +68,16 @@ def _frames(board: Board, numbers: Sequence[int], dwell_s: float, pause_s: float
     off = board.encode(np.zeros(board.transducers))
     begin = 0.0
     for number in numbers:
-        yield from _held(off, begin, pause_s, sounds=False)
+        yield from _hold(off, begin, pause_s, sounds=False)
         begin += pause_s
         drive = np.zeros(board.transducers)
         drive[number] = 1.0
-        yield from _held(board.encode(drive), begin, dwell_s, sounds=True)
+        yield from _hold(board.encode(drive), begin, dwell_s, sounds=True)
         begin += dwell_s
-    yield from _held(off, begin, pause_s, sounds=False)
+    yield from _hold(off, begin, pause_s, sounds=False)
 
 
-def _held(data: bytes, begin_s: float, length_s: float, *, sounds: bool) -> Iterator[TimedFrame]:
+def _hold(data: bytes, begin_s: float, length_s: float, *, sounds: bool) -> Iterator[TimedFrame]:
     """Repeat one frame, so that a lost byte has no lasting effect."""
     for time_s in np.arange(begin_s, begin_s + length_s - 1e-9, REFRESH_S).tolist():
         yield TimedFrame(time_s, data, sounds)

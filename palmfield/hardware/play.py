@@ -122,7 +122,7 @@ def play_focus(
         moments = [SoundMoment(at_loudest, share)] if played.any() else []
         for line in check_head(with_band(at_head(moments, driver, array.positions), made.band), driver):
             LOG.warning(line)
-    done = send(frames, chosen, duration_s, target, made.head, limits, progress).saying(*made.said)
+    done = send(frames, chosen, duration_s, target, made.head, limits, progress).saying(*made.notes)
     if not played.any():
         return done
     loudest = loudest_point(at_loudest, np.zeros(3), place)
@@ -160,12 +160,12 @@ def play_scene(
     warn_at_head(view, duration)
     limits = SoundLimits.of(spec.driver)
     done = send(scene_frames(view, duration), model.board, duration, target, head, limits, progress)
-    said = [f"board {model.board.name}: {sending(model.board, model.configs)}"]
+    notes = [f"board {model.board.name}: {sending(model.board, model.configs)}"]
     for number, stimulus in enumerate(model.stimuli):
         offset = peak_offset(model, number)
         if offset is not None:
-            said.append(f"{stimulus.spec.name}: {offset_words(*offset)}")
-    return done.saying(*said)
+            notes.append(f"{stimulus.spec.name}: {offset_words(*offset)}")
+    return done.saying(*notes)
 
 
 def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
@@ -202,16 +202,16 @@ def send(
             ready.append(one)
             bar.update(making, completed=one.time_s)
     limits.check([frame.time_s for frame in ready], [frame.sounds for frame in ready], duration_s)
-    said = [words] if (words := limits.in_words(board)) else []
+    notes = [words] if (words := limits.in_words(board)) else []
     if target.record is not None:
         log = None if target.log is None else FrameLog(target.log, head)
         report = record(board, ready, target.record, duration_s=duration_s, log=log)
         skipped = f"; {report.skipped} more were due than the line can carry" if report.skipped else ""
         text = f"wrote {target.record}: {report.frames} frames for {duration_s:g} s{skipped}"
-        return Performance(text, report.warning).saying(*said)
+        return Performance(text, report.warning).saying(*notes)
     assert target.port is not None
     done = play_on_port(ready, board, target.port, duration_s, log=target.log, head=head, progress=progress)
-    return done.saying(*said)
+    return done.saying(*notes)
 
 
 def play_on_port(

@@ -95,10 +95,10 @@ def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]],
         now = emitted[int(np.searchsorted(times, time_s, "right")) - 1].amplitudes
         shares[now.tobytes()] = now, shares.get(now.tobytes(), (now, 0.0))[1] + 1.0 / MOMENTS
 
-    def heard(amplitudes: Complex, share: float) -> SoundMoment:
+    def moment_of(amplitudes: Complex, share: float) -> SoundMoment:
         return SoundMoment(lambda points: pressure64(points, array, amplitudes, head.air)[0], share)
 
-    moments = [heard(amplitudes, share) for amplitudes, share in shares.values() if amplitudes.any()]
+    moments = [moment_of(amplitudes, share) for amplitudes, share in shares.values() if amplitudes.any()]
     loudest = with_band(at_head(moments, driver, array.positions), (1.0, (most_Pa_m / array.p0_Pa_m) ** 2))
     return check_head(loudest, driver)
 

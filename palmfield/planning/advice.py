@@ -46,14 +46,14 @@ LEAST_POISSON = 0.3
 def material_advice(model: HapticModel) -> list[str]:
     """Return warnings of the material sheets of all skins."""
     return [
-        f"material '{sheet.material.name}' of skin '{skin.spec.name}' {said}"
+        f"material '{sheet.material.name}' of skin '{skin.spec.name}' {warning}"
         for skin in model.skins
         for sheet in skin.layer.sheets
-        for said in _doubts(sheet.material)
+        for warning in _material_warnings(sheet.material)
     ]
 
 
-def _doubts(material: Material) -> list[str]:
+def _material_warnings(material: Material) -> list[str]:
     result = []
     for what, value, unit, (low, high) in (
         ("density", material.density_kg_m3, "kg/m^3", DENSITIES_kg_m3),
@@ -85,7 +85,7 @@ def advice(view: Preview) -> list[str]:
         result += _keys_without_effect(stimulus)
         result += _path_off_the_skin(model, stimulus)
         result += _hardly_begun(stimulus, view.duration_s)
-        result += _held_too_long(stimulus)
+        result += _ticks_too_long(stimulus)
     for scattering in scatterings(view):
         if scattering.moves:
             total_s = scattering.solutions * scattering.solution_s
@@ -125,17 +125,17 @@ def _coarse(model: HapticModel, number: int) -> list[str]:
 def _dropped_response(model: HapticModel, number: int) -> list[str]:
     """Warn if a key switches off ring-up or flight time, and the effect is larger than the accuracy."""
     skin, stimulus = model.skins[number], model.stimuli[stimulus_of(model, number)]
-    wanted = skin.spec.config.accuracy
+    target = skin.spec.config.accuracy
     return [
         f"key response of palmfield.array ignores the {bias.what} of stimulus '{stimulus.spec.name}': the error of "
         f"the displacement of skin '{skin.spec.name}' may be {bias.size}, above the target accuracy of "
-        f"{100 * wanted:g} %; set response to auto or on"
+        f"{100 * target:g} %; set response to auto or on"
         for bias in response_biases(stimulus, skin)
-        if bias.low is not None and -bias.low > wanted
+        if bias.low is not None and -bias.low > target
     ]
 
 
-def _held_too_long(stimulus: StimulusModel) -> list[str]:
+def _ticks_too_long(stimulus: StimulusModel) -> list[str]:
     """Warn if control_rate_Hz is too low for a modulation. Rectangles are not affected: they get frames at jumps."""
     config = stimulus.config
     rate, frequency = config.control_rate_Hz, config.am_frequency_Hz

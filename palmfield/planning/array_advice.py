@@ -72,20 +72,20 @@ def _calibrations(model: HapticModel) -> list[str]:
         one = instance.calibration
         if one is None:
             continue
-        says = f"the calibration of array '{array.name}'"
+        what = f"the calibration of array '{array.name}'"
         if one.elements is not None:
             middle = float(np.median(np.array(one.elements.gain)[np.array(one.elements.enabled)]))
             if not 1.0 / MEDIAN_GAIN <= middle <= MEDIAN_GAIN:
                 result.append(
-                    f"{says} has gains of about {middle:.3g}; gains are relative to p0: put the level into p0, and "
+                    f"{what} has gains of about {middle:.3g}; gains are relative to p0: put the level into p0, and "
                     "keep gains near 1"
                 )
         off_m = float(np.linalg.norm(one.pose.offset_m))
         if off_m > FAR_OFF_M:
-            result.append(f"{says} displaces the board by {off_m:.3g} m: check the unit (metres) and the frame")
+            result.append(f"{what} displaces the board by {off_m:.3g} m: check the unit (metres) and the frame")
         if one.p0 is not None and one.p0.high > WIDE * one.p0.low:
             result.append(
-                f"{says} has a p0 of {one.p0.low:g} to {one.p0.high:g} Pa m, which is too wide to be useful: "
+                f"{what} has a p0 of {one.p0.low:g} to {one.p0.high:g} Pa m, which is too wide to be useful: "
                 "measure it again"
             )
     return result

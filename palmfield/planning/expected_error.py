@@ -24,14 +24,14 @@ def expected_errors(model: HapticModel) -> list[Row]:
 
 def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
     """Return the row of the error due to elements or particles. pinned: see `coarse_pins`"""
-    wanted = f"target {100 * skin.spec.config.accuracy:g} %"
+    target = f"target {100 * skin.spec.config.accuracy:g} %"
     if pinned:
         why = f"keys make it coarser than this target needs: {', '.join(pinned)}; the run estimates the error"
-        return Row("mesh and time step", wanted, why, skin.spec.name)
+        return Row("mesh and time step", target, why, skin.spec.name)
     own = skin.solver
     if own.expected_error is None:
-        return Row("mesh and time step", wanted, own.sizes_follow, skin.spec.name)
-    size = f"{'a preview, ' * own.preview}about {100 * own.expected_error:.2g} %; {wanted}"
+        return Row("mesh and time step", target, own.sizes_follow, skin.spec.name)
+    size = f"{'a preview, ' * own.preview}about {100 * own.expected_error:.2g} %; {target}"
     return Row(skin.choice.name, size, own.sizes_follow, skin.spec.name)
 
 

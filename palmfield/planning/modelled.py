@@ -153,10 +153,10 @@ def _solver(skin: SkinModel, still_m: float) -> Row:
         size += f", wedges about {choice.wedges_s:.0f} s" + " on the CPU" * solver.own_mesh
     leaves = "the full wedge model takes over"
     if solver.of_class:
-        kept = "stored in the cache" if cache.folder() is not None else "not stored, because there is no cache"
+        stored = "stored in the cache" if cache.folder() is not None else "not stored, because there is no cache"
         beyond = leaves if config.solver == "auto" else "the error of the run reports it"
         why += (
-            f", {kept}; the part of the load outside the modes is measured in every step; above "
+            f", {stored}; the part of the load outside the modes is measured in every step; above "
             f"{100 * config.accuracy:g} % {beyond}"
         )
     elif not solver.any_pose:

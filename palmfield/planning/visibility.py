@@ -72,14 +72,14 @@ def hidden_patches(view: Preview) -> list[str]:
     result = []
     for skin, results in enumerate(_over_motion(view)):
         stimulus = max(range(len(results)), key=lambda number: sum(one.near for one in results[number]))
-        seen, model = results[stimulus], view.runtime.model
-        if not any(one.near for one in seen):
+        found, model = results[stimulus], view.runtime.model
+        if not any(one.near for one in found):
             continue
         for kind, words in KINDS.items():
-            so = [one for one in seen if one.kind == kind]
-            if not so or (kind == "too far" and 2 * len(so) <= len(seen)):
+            so = [one for one in found if one.kind == kind]
+            if not so or (kind == "too far" and 2 * len(so) <= len(found)):
                 continue
-            often = "" if len(seen) == 1 else f" at {len(so)} of {len(seen)} moments, first at {so[0].time_s:.3g} s"
+            often = "" if len(found) == 1 else f" at {len(so)} of {len(found)} moments, first at {so[0].time_s:.3g} s"
             share = 100.0 * sum(one.lit for one in so) / len(so)
             named = words.format(skin=model.skins[skin].spec.name, stimulus=model.stimuli[stimulus].spec.name)
             through = model.skins[skin].spec.config.body_sound == "none" and kind == "hidden"

@@ -18,21 +18,21 @@ def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence
 
     message: of MuJoCo; scene: its name; text: its files, if it has any; plugins: names that palmfield registers
     """
-    said, name, line = _parts(message)
-    element = None if text is None else _element(said, name, line, text)
+    cause, name, line = _parts(message)
+    element = None if text is None else _element(cause, name, line, text)
     where, tag = scene, f"element '{name}' " if name else ""
     if element is not None:
         where, tag = element.where, f"<{element.tag}> "
     elif line:
         where = f"{scene}, line {line}"
     for pattern, words in FAULTS:
-        found = re.search(pattern, said)
+        found = re.search(pattern, cause)
         if found and not isinstance(words, str):
             return f"{where}: {tag}{words(found, element, text, plugins)}"
         if found and isinstance(words, str):
             value = _value(found[1], element) if "{value}" in words else ""
             return f"{where}: {tag}{found.expand(words).replace('{value}', value)}"
-    return f"{where}: {tag}cannot be compiled by MuJoCo: {said}"
+    return f"{where}: {tag}cannot be compiled by MuJoCo: {cause}"
 
 
 def _parts(message: str) -> tuple[str, str, int]:
@@ -49,11 +49,11 @@ def _parts(message: str) -> tuple[str, str, int]:
     return plain[: place.start()].strip(), place["name"], int(place["line"] or 0)
 
 
-def _element(said: str, name: str, line: int, text: SceneText) -> Element | None:
+def _element(cause: str, name: str, line: int, text: SceneText) -> Element | None:
     """Return the element of a message. MuJoCo gives no lines in included files, so all files are searched."""
     if line:
         return text.at(text.file, line, name)
-    twice = re.search(r"repeated name '([^']*)' in plugin", said)
+    twice = re.search(r"repeated name '([^']*)' in plugin", cause)
     if twice:
         return text.last("instance", twice[1])
     for file in text.included:
@@ -63,7 +63,7 @@ def _element(said: str, name: str, line: int, text: SceneText) -> Element | None
                 spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             again, name_again, line_again = _parts(str(error))
-            if again == said and line_again:
+            if again == cause and line_again:
                 return text.at(file, line_again, name_again)
     return None
 

@@ -69,7 +69,7 @@ def compiled(source: Source, **options: Unpack[Options]) -> tuple[str, mujoco.Mj
         return "model", source, data
     started = time.perf_counter()
     scene = opened(source)
-    with _kept(scene.spec):
+    with _restored(scene.spec):
         model = _compiled_with(scene, options)
     data = fresh_data(model, scene.name, scene.text)
     _check_sensor_places(data, scene.name, scene.text)
@@ -86,8 +86,8 @@ def _compiled_with(scene: "Opened", options: Options) -> mujoco.MjModel:
     if text is not None:
         _check_names(text)
     if device is not None:
-        said = next((text for text in spec.texts if text.name == DEVICE), None) or spec.add_text(name=DEVICE)
-        said.data = device
+        device_text = next((text for text in spec.texts if text.name == DEVICE), None) or spec.add_text(name=DEVICE)
+        device_text.data = device
     changes = _changes(spec, options.get("keys") or {})
     plugins = [Instance(plugin.name, plugin.plugin_name, dict(plugin.config)) for plugin in spec.plugins]
     for _, plugin_name, config in plugins:
@@ -119,7 +119,7 @@ def _compiled_with(scene: "Opened", options: Options) -> mujoco.MjModel:
 
 
 @contextmanager
-def _kept(spec: mujoco.MjSpec) -> Iterator[None]:
+def _restored(spec: mujoco.MjSpec) -> Iterator[None]:
     """Restore keys and device of a spec at the end.
 
     A copy is not possible: MuJoCo 4.0 drops plugins that no element refers to, such as most of palmfield's.

@@ -36,27 +36,27 @@ def exchange_board(scene: str, plugins: Sequence[Instance], name: str, timestep_
     drivers = [plugin for plugin in plugins if plugin.plugin == DRIVER]
     if not drivers:
         raise SceneError(f"{scene} has no plugin '{DRIVER}', so board '{name}' has nothing to replace; add the plugin")
-    said = []
+    notes = []
     for driver in drivers:
         before = driver.keys.get("board", "ideal")
         if before == name:
             continue
         driver.keys["board"] = name
         for key in [key for key in driver.keys if key not in OF_ONE_BOARD and key not in board.keys]:
-            said.append(f"driver: key '{key}' does not apply to board '{name}' and was removed")
+            notes.append(f"driver: key '{key}' does not apply to board '{name}' and was removed")
             del driver.keys[key]
     focus = next(
         (plugin.keys["focus_m"] for plugin in plugins if plugin.plugin == STIMULUS and _in_array(plugin)), None
     )
     for array in plugins:
         if array.plugin == ARRAY:
-            said += _exchange_layout(array, board, focus)
+            notes += _exchange_layout(array, board, focus)
     for stimulus in plugins:
         if stimulus.plugin == STIMULUS and _without_steps(stimulus.keys, board) and not board.exact:
             rate_Hz = control_rate_Hz(board, timestep_s)
             stimulus.keys["control_rate_Hz"] = repr(rate_Hz)
-            said.append(f"{stimulus.name}: control_rate_Hz {rate_Hz:.4g}, the frame rate of the board")
-    return said
+            notes.append(f"{stimulus.name}: control_rate_Hz {rate_Hz:.4g}, the frame rate of the board")
+    return notes
 
 
 def _in_array(stimulus: Instance) -> bool:

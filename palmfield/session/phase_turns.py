@@ -25,15 +25,15 @@ class PhaseTurns:
 
     def see(self, time_s: float, drive: ArrayDrive, foci: Float, loudness: Float | None) -> None:
         """Add a record of active foci, array frame [m], shape (m, 3); loudness: see `FocalPoints.loudness`."""
-        wanted = np.ones(len(foci)) if loudness is None else loudness
-        foci, wanted, last = foci[wanted > 0.0], wanted[wanted > 0.0], self._last
+        levels = np.ones(len(foci)) if loudness is None else loudness
+        foci, levels, last = foci[levels > 0.0], levels[levels > 0.0], self._last
         if len(foci) < 2:
             self._last = None
-        elif last is None or not (np.array_equal(last[0], foci) and np.array_equal(last[1], wanted)):
-            vector = drive.leading_of(foci, wanted)
+        elif last is None or not (np.array_equal(last[0], foci) and np.array_equal(last[1], levels)):
+            vector = drive.leading_of(foci, levels)
             if last is not None and len(last[0]) == len(foci):
                 moved_m = np.linalg.norm(foci - last[0], axis=1).max()
                 near = moved_m <= MOVED_WAVELENGTHS * 2.0 * np.pi / drive.wavenumber
-                if near and np.abs(wanted - last[1]).max() <= LOUDER and abs(np.vdot(vector, last[2])) < SAME:
+                if near and np.abs(levels - last[1]).max() <= LOUDER and abs(np.vdot(vector, last[2])) < SAME:
                     self.times.append(time_s)
-            self._last = foci, wanted, vector
+            self._last = foci, levels, vector

@@ -36,9 +36,9 @@ from palmfield.terminal import bars
 LOG = logging.getLogger("palmfield.session")
 
 
-def _drawn_by(module: str, function: str, *given: Any, **more: Any) -> Any:
+def _drawn_by(module: str, function: str, *args: Any, **more: Any) -> Any:
     """Call a function of `palmfield.outputs`, so that Matplotlib and OpenUSD are loaded after the steps."""
-    return getattr(import_module(f"palmfield.outputs.{module}"), function)(*given, **more)
+    return getattr(import_module(f"palmfield.outputs.{module}"), function)(*args, **more)
 
 
 def _scene_image(tree: xr.DataTree) -> Any:
@@ -75,14 +75,14 @@ class Result:
     out: Path | None
     files: dict[str, Path]
     summary: dict[str, Any]
-    _kept: xr.DataTree | None = field(default=None, repr=False)
+    _cached: xr.DataTree | None = field(default=None, repr=False)
     _opened: list[xr.DataTree] = field(default_factory=list, repr=False)
 
     @property
     def dataset(self) -> xr.DataTree:
         """Groups of the result (palmfield.outputs.schema), opened at first use and read lazily."""
-        if self._kept is not None:
-            return self._kept
+        if self._cached is not None:
+            return self._cached
         if not self._opened:
             self._opened.append(open_result(self.files["result.nc"]))
         return self._opened[0]
@@ -207,14 +207,14 @@ def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
     Files of a killed USD export are reported but not removed, because they may be needed or still be written.
     Returns the files by name. Raises OutputError if there is no data to recover or the disk is full.
     """
-    from palmfield.outputs.usd.stage_file import left_scenes
+    from palmfield.outputs.usd.stage_file import unfinished_scenes
 
     out = Path(out)
     try:
         return _recovered(out, progress)
     finally:
-        for left, what in left_scenes(out):
-            LOG.warning("%s is %s", left, what)
+        for leftover, what in unfinished_scenes(out):
+            LOG.warning("%s is %s", leftover, what)
 
 
 def _recovered(out: Path, progress: bool) -> dict[str, Path]:
@@ -249,11 +249,11 @@ def draw(
             files |= {f"plots/{path.name}": path for path in drawn.values()}
         except (OutputError, MeasurementError) as error:
             LOG.warning("no picture %s: %s", kind, error)
-    wanted = {name: make for name, make in PICTURES if (plots is None if name.endswith(".png") else usd)}
+    makers = {name: make for name, make in PICTURES if (plots is None if name.endswith(".png") else usd)}
     made = set[str]()
     with ThreadPoolExecutor(1, "palmfield-picture") as thread:
-        beside = {name: thread.submit(begin, tree) for name, begin in BESIDE.items() if name in wanted}
-        for name, make in sorted(wanted.items(), key=lambda one: one[0] in beside):
+        beside = {name: thread.submit(begin, tree) for name, begin in BESIDE.items() if name in makers}
+        for name, make in sorted(makers.items(), key=lambda one: one[0] in beside):
             bar.update(task, description=f"writing {name}")
             try:
                 with phase("plots" if name.endswith(".png") else "USD"), phase(name):
@@ -262,7 +262,7 @@ def draw(
             except OutputError as error:
                 LOG.warning("no %s: %s", name, error)
             bar.advance(task)
-    return files | {name: out / name for name in wanted if name in made}
+    return files | {name: out / name for name in makers if name in made}
 
 
 @phase("preparing")
@@ -270,7 +270,7 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
     """Do everything that can fail before the first step."""
     started = time.perf_counter()
     sim.runtime.prepare(bar)
-    static, attributes = known_before(sim), result_attributes(sim)
+    static, attributes = initial_block(sim), result_attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
     LOG.debug("prepared the skin layers in %.2f s", time.perf_counter() - started)
     return store, recorder_of(sim, store, TOGETHER)
@@ -284,7 +284,7 @@ def recorder_of(sim: Simulation, sink: Sink, together: int = 1) -> Recorder:
     return Recorder(sim.runtime, world_with(sim.data), sink, lambda: body_poses(sim.data), together)
 
 
-def known_before(sim: Simulation) -> Block:
+def initial_block(sim: Simulation) -> Block:
     """Return the parts of a result that exist before the first step."""
     return static_arrays(sim.runtime.model, world_with(sim.data), sim.runtime, sim.model)
 

@@ -177,9 +177,9 @@ class Recorder:
         [posed] = trace.posed
         motions: list[tuple[Float | Float32, Float | None]] = []
         for number, (stepper, _) in enumerate(self.runtime.skin_states()):
-            [(_, [seen])] = trace.motion[number]
+            [(_, [values])] = trace.motion[number]
             matrix = self.runtime.work.coordinates(number, stepper)
-            motions.append((seen.astype(np.float32) if matrix is None else seen.copy(), matrix))
+            motions.append((values.astype(np.float32) if matrix is None else values.copy(), matrix))
         emitted = emitted_at_ends(self.runtime.work.emission, trace, self.model.step_s)
         start_s = self.world.time - self.model.spec.timestep_s
         forces = [np.array(parts) for parts in self.runtime.applied_parts]
@@ -374,7 +374,7 @@ class Recorder:
 
 def _motion(parts: Sequence[tuple[Float | Float32, Float | None]]) -> Float32:
     """Return the motion of a skin after the substeps of some steps, shape (2, t, S, 3); parts: as of Recorded."""
-    numbers, matrix = np.concatenate([seen for seen, _ in parts]).swapaxes(0, 1), parts[0][1]
+    numbers, matrix = np.concatenate([values for values, _ in parts]).swapaxes(0, 1), parts[0][1]
     times, count = numbers.shape[1], numbers.shape[2] if matrix is None else matrix.shape[1]
     result = np.empty((2, times, count), np.float32)
     if matrix is None:
@@ -432,7 +432,7 @@ def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compi
 def _transducers(array: Array) -> dict[str, NDArray[Any]]:
     """Return all inputs of the sound of an array except drive, pose and air."""
     gain = np.ones(len(array), np.complex128) if array.gain is None else array.gain
-    told = {
+    inputs = {
         "transducer_position": array.positions,
         "transducer_direction": array.normals,
         "transducer_p0": array.p0_Pa_m * np.abs(gain),
@@ -441,8 +441,8 @@ def _transducers(array: Array) -> dict[str, NDArray[Any]]:
     }
     if array.directivity_table is not None:
         angles, levels = array.directivity_table.T
-        told |= {"off_axis_angle": angles, "off_axis_level": levels}
-    return told
+        inputs |= {"off_axis_angle": angles, "off_axis_level": levels}
+    return inputs
 
 
 def world_with(data: mujoco.MjData) -> World:

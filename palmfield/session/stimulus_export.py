@@ -122,14 +122,14 @@ def _plays_as_it_is(
 
 
 def _warnings(part: StimulusModel, names: list[str]) -> tuple[str, ...]:
-    config, said = part.config, []
+    config, notes = part.config, []
     if config.arp_peak_Pa is not None:
-        said.append(f"intensity 1 means arp_peak_Pa {config.arp_peak_Pa:g}, which the table does not store")
+        notes.append(f"intensity 1 means arp_peak_Pa {config.arp_peak_Pa:g}, which the table does not store")
     elif config.drive_amplitude not in (None, 1.0):
-        said.append(f"intensity 1 means drive_amplitude {config.drive_amplitude:g}, which the table does not store")
+        notes.append(f"intensity 1 means drive_amplitude {config.drive_amplitude:g}, which the table does not store")
     if len(names) > 1:
-        said.append(f"stimulus '{part.spec.name}' is one of {len(names)}, with its own arrays")
-    return tuple(said)
+        notes.append(f"stimulus '{part.spec.name}' is one of {len(names)}, with its own arrays")
+    return tuple(notes)
 
 
 def _places(view: Preview, number: int, times: Float, points: Float, frame: TableFrame) -> Float:

@@ -99,7 +99,7 @@ def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: i
     live = ShownScene(SceneSource(scene, device, None, None), {}, Path("out") / "view", sent.append)
     on = live.sim.runtime.spec.device
     rate = rate_Hz or (RATE_Hz if on == "cpu" else GPU_RATE_Hz)
-    live.take(Pace(math.inf))
+    live.receive(Pace(math.inf))
     context = get_context("spawn")
     shown, alone = [], []
     with Link(Address("127.0.0.1", None, "", rate)) as link:
@@ -121,7 +121,7 @@ def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: i
                     live.sim.step()
                     continue
                 for message in link.received():
-                    live.take(message)
+                    live.receive(message)
                 live.go_on()
             took, cpu = time.monotonic() - began_s, time.process_time() - began_cpu
             count = max((live.sim.time - begun) / live.sim.model.opt.timestep, 1.0)

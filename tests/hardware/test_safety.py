@@ -15,7 +15,7 @@ from palmfield.config import DriverConfig
 from palmfield.drive.boards import BOARDS
 from palmfield.hardware.focus_board import FocusSound
 from palmfield.hardware.play import Target, play_focus, play_scene
-from palmfield.hardware.safety.exposure import Heard, SoundMoment, at_head, check_head, with_band
+from palmfield.hardware.safety.exposure import Exposure, SoundMoment, at_head, check_head, with_band
 from palmfield.hardware.safety.scene_sound import moments_of, scene_at_head
 from palmfield.session.preview import preview
 from palmfield.types import Air
@@ -32,25 +32,25 @@ def test_a_head_hears_one_transducer_by_its_own_law():
     x, y, _ = array.positions[40]
     head = DriverConfig(head_m=(x, y, 0.5), head_radius_m=0.1)
     moments = [SoundMoment(lambda points: pressure64(points, array, drive, Air())[0], 0.25)]
-    heard = at_head(moments, head, array.positions)
+    loudest = at_head(moments, head, array.positions)
     away = 0.5 - array.positions[40, 2] - 0.1
     peak = 2.0 / away * math.exp(-absorption_Np_m(Air(), 40e3) * away)
-    assert heard.peak_Pa == pytest.approx(peak, rel=1e-6)
-    np.testing.assert_allclose(heard.place, [x, y, 0.4], atol=1e-12)
-    assert heard.level_dB == pytest.approx(20 * math.log10(peak / math.sqrt(2) / 20e-6), abs=1e-4)
+    assert loudest.peak_Pa == pytest.approx(peak, rel=1e-6)
+    np.testing.assert_allclose(loudest.place, [x, y, 0.4], atol=1e-12)
+    assert loudest.level_dB == pytest.approx(20 * math.log10(peak / math.sqrt(2) / 20e-6), abs=1e-4)
     # On for a quarter of the time: 6 dB less of energy
-    assert heard.mean_level_dB == pytest.approx(heard.level_dB - 10 * math.log10(4.0), abs=1e-6)
-    assert heard.dose_dB(8 * 360.0) == pytest.approx(heard.mean_level_dB - 10.0, abs=1e-6)
+    assert loudest.mean_level_dB == pytest.approx(loudest.level_dB - 10 * math.log10(4.0), abs=1e-6)
+    assert loudest.dose_dB(8 * 360.0) == pytest.approx(loudest.mean_level_dB - 10.0, abs=1e-6)
 
 
 def test_limits_count_with_p0_at_the_high_end_of_its_range():
-    heard = with_band(Heard(np.zeros(3), math.sqrt(2.0) * 20e-6 * 10**4.9, 0.0), (0.5, 2.0))
-    assert heard.level_dB == pytest.approx(98.0) and heard.most_dB == pytest.approx(98.0 + 10 * math.log10(2.0))
-    assert "above 100 dB" in check_head(heard, DriverConfig())[0]
-    assert check_head(with_band(heard, (0.5, 1.5)), DriverConfig()) == []
+    loudest = with_band(Exposure(np.zeros(3), math.sqrt(2.0) * 20e-6 * 10**4.9, 0.0), (0.5, 2.0))
+    assert loudest.level_dB == pytest.approx(98.0) and loudest.most_dB == pytest.approx(98.0 + 10 * math.log10(2.0))
+    assert "above 100 dB" in check_head(loudest, DriverConfig())[0]
+    assert check_head(with_band(loudest, (0.5, 1.5)), DriverConfig()) == []
     with pytest.raises(palmfield.DeviceError, match=r"98 dB SPL .* up to 101 dB .* head_limit_dB allows 100"):
-        check_head(heard, DriverConfig(head_limit_dB=100.0))
-    assert "above 110 dB" in check_head(with_band(heard, (0.5, 20.0)), DriverConfig())[0]
+        check_head(loudest, DriverConfig(head_limit_dB=100.0))
+    assert "above 110 dB" in check_head(with_band(loudest, (0.5, 20.0)), DriverConfig())[0]
 
 
 def test_a_head_on_the_board_is_refused():
@@ -78,15 +78,15 @@ def test_a_scene_too_loud_for_the_head_is_not_played(tmp_path):
     with pytest.raises(palmfield.DeviceError, match="head_limit_dB allows 80"):
         play_scene(scene, None, Target(record=tmp_path / "x.bin"), 0.1, keys=keys)
     assert not list(tmp_path.iterdir())
-    heard = scene_at_head(preview(scene, keys=keys), 0.1)
+    loudest = scene_at_head(preview(scene, keys=keys), 0.1)
     # Against the field in float64 of what the frames emit, over the same ball
     view = preview(scene, keys=keys)
     emission, posed = view.runtime.work.emission, view.runtime.posed
     drives = [emission.commanded(posed, np.array([t]))[0] for t in moments_of(96, 0.1)]
-    assert heard.peak_Pa == pytest.approx(
-        max(abs(posed.arrays.pressure64(heard.place[None], drive)[0]) for drive in drives), rel=1e-3
+    assert loudest.peak_Pa == pytest.approx(
+        max(abs(posed.arrays.pressure64(loudest.place[None], drive)[0]) for drive in drives), rel=1e-3
     )
-    assert np.linalg.norm(heard.place - [0.0, 0.0, 0.6]) <= 0.1 * (1 + 1e-6)
+    assert np.linalg.norm(loudest.place - [0.0, 0.0, 0.6]) <= 0.1 * (1 + 1e-6)
 
 
 def test_ramps_are_in_the_bytes_of_focuses_and_scenes(tmp_path):
@@ -97,15 +97,15 @@ def test_ramps_are_in_the_bytes_of_focuses_and_scenes(tmp_path):
     path = tmp_path / "x.bin"
     done = play_focus(POINT, "openmpd", Target(record=path), 1.0, keys={"ramp_s": "0.3"})
     assert "sound rises and falls within 300 ms" in done.text
-    heard = levels(path, "openmpd")
-    top = int(heard.argmax())
-    assert np.all(np.diff(heard[: top + 1]) >= -1e-9) and heard[-2] < 0.2 * heard.max()
-    assert len(np.unique(np.round(heard[heard > 0], 6))) > 8
+    loudest = levels(path, "openmpd")
+    top = int(loudest.argmax())
+    assert np.all(np.diff(loudest[: top + 1]) >= -1e-9) and loudest[-2] < 0.2 * loudest.max()
+    assert len(np.unique(np.round(loudest[loudest > 0], 6))) > 8
     scene = SCENES / "palm_circle_sonicsurface.xml"
     done = play_scene(scene, None, Target(record=path), 0.5, keys={"driver.ramp_s": "0.2", "driver.dither": "on"})
-    heard = levels(path, "sonicsurface")
+    loudest = levels(path, "sonicsurface")
     assert done.warning == "", "steps of the ramp are more than the line can carry"
-    assert heard[4] < 0.3 and heard[len(heard) // 2] == pytest.approx(1.0, abs=0.01)
+    assert loudest[4] < 0.3 and loudest[len(loudest) // 2] == pytest.approx(1.0, abs=0.01)
     done = play_scene(scene, None, Target(record=path), 0.2, keys={"driver.ramp_s": "0.1"})
     assert "no ramp: sonicsurface has no levels" in done.text
 
@@ -149,16 +149,16 @@ def test_the_loudest_place_is_found_among_many_that_are_nearly_as_loud():
     drive = np.exp(-2j * np.pi * 40e3 / 343.0 * np.linalg.norm(array.positions - [0.03, 0.02, 0.12], axis=1))
     head = DriverConfig(head_m=(0.0, -0.1, 0.2), head_radius_m=0.06)
     moments = [SoundMoment(lambda points: pressure64(points, array, drive, Air())[0], 1.0)]
-    heard = at_head(moments, head, array.positions)
+    loudest = at_head(moments, head, array.positions)
     steps = np.arange(-0.06, 0.0601, 2e-3)
     ball = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
     ball = ball[np.linalg.norm(ball, axis=1) <= 0.06] + [0.0, -0.1, 0.2]
     peaks = np.abs(pressure64(ball, array, drive, Air())[0])
-    assert heard.peak_Pa >= peaks.max() * (1 - 1e-9)
-    assert heard.peak_Pa < peaks.max() * 1.03
-    assert np.linalg.norm(heard.place - [0.0, -0.1, 0.2]) <= 0.06 * (1 + 1e-9)
+    assert loudest.peak_Pa >= peaks.max() * (1 - 1e-9)
+    assert loudest.peak_Pa < peaks.max() * 1.03
+    assert np.linalg.norm(loudest.place - [0.0, -0.1, 0.2]) <= 0.06 * (1 + 1e-9)
     # It is the loudest place that is compared, not a mean over the ball
-    assert 20 * math.log10(heard.peak_Pa / np.sqrt(np.mean(peaks**2))) > 3.0
+    assert 20 * math.log10(loudest.peak_Pa / np.sqrt(np.mean(peaks**2))) > 3.0
 
 
 def test_what_is_loud_at_one_moment_only_is_what_counts():

@@ -56,7 +56,7 @@ def test_a_scenes_head_hears_its_drive_by_each_transducers_law(small_scene):
         assert level == pytest.approx(20 * math.log10(end / p0.value), abs=1e-6)
     hand = sheet.hands[0]
     # The Lagrangian is below |p|^2/(rho c^2), and near it where sound comes head on
-    plane = hand.heard.peak_Pa**2 / (density(AIR) * sound_speed(AIR) ** 2)
+    plane = hand.loudest.peak_Pa**2 / (density(AIR) * sound_speed(AIR) ** 2)
     assert 0.5 * plane < hand.arp_Pa <= plane * (1 + 1e-4)
 
 
@@ -79,7 +79,7 @@ def test_a_head_in_the_beam_gets_no_estimate_and_a_limit_is_said(small_scene):
     path = small_scene(stimulus=STILL)
     keys = {"driver.head_m": "0 0 0.05", "driver.head_radius_m": "0.02", "driver.head_limit_dB": "90"}
     sheet = safety_sheet(preview(path, keys=keys), 0.01)
-    assert sheet.byproduct is None and "refuses" in sheet.head_said[0]
+    assert sheet.byproduct is None and "refuses" in sheet.head_warnings[0]
     assert "lies in the beam" in as_markdown(sheet)
 
 
@@ -138,11 +138,11 @@ def test_maps_and_course_have_the_levels_of_the_sheet(small_scene, tmp_path):
     nearest = np.linalg.norm(head.places_m - head.loudest_m, axis=1).argmin()
     assert head.levels_dB[nearest] == pytest.approx(sheet.head.level_dB, abs=0.5)
     assert head.levels_dB.max() <= sheet.head.level_dB + 0.05
-    assert skin.levels_dB.max() == pytest.approx(sheet.hands[0].heard.level_dB, abs=1e-3)
+    assert skin.levels_dB.max() == pytest.approx(sheet.hands[0].loudest.level_dB, abs=1e-3)
     nearest = np.linalg.norm(skin.places_m - skin.loudest_m, axis=1).argmin()
     assert nearest == skin.levels_dB.argmax()
     assert sheet.course.levels_dB["head"].max() == pytest.approx(sheet.head.level_dB, abs=1e-3)
-    assert sheet.course.levels_dB["skin"].max() == pytest.approx(sheet.hands[0].heard.level_dB, abs=1e-3)
+    assert sheet.course.levels_dB["skin"].max() == pytest.approx(sheet.hands[0].loudest.level_dB, abs=1e-3)
     words = ["safety", str(path), "--out", str(page), "--set", "driver.head_m=0 -0.3 0.5"]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output

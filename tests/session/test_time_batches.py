@@ -35,7 +35,7 @@ KEYS: dict[str, dict[str, Any]] = {
 def step_by_step(scene: Path, duration_s: float) -> Any:
     """The result of plain mj_step, written after each step."""
     sim = palmfield.Simulation(scene)
-    store = MemoryStore(recorded_run.known_before(sim), recorded_run.result_attributes(sim))
+    store = MemoryStore(recorded_run.initial_block(sim), recorded_run.result_attributes(sim))
     observer = recorded_run.recorder_of(sim, store)
     observer.start()
     while sim.time < duration_s - 1e-9:

@@ -68,7 +68,7 @@ def recorded(
 ) -> dict[str, Any]:
     """The result of a recorded run from reset, by variable, and the state after it. between: called after each step."""
     sim.reset()
-    store = MemoryStore(recorded_run.known_before(sim), recorded_run.result_attributes(sim))
+    store = MemoryStore(recorded_run.initial_block(sim), recorded_run.result_attributes(sim))
     recorder = recorded_run.recorder_of(sim, store, together)
     recorder.end_s = steps * sim.model.opt.timestep
     recorder.start()

@@ -40,8 +40,8 @@ def lines(values: Float) -> tuple[Float, Float]:
     spectrum = np.fft.rfft((values - values.mean()) * window)
     frequencies = np.fft.rfftfreq(len(values), 1.0 / RATE_HZ)
     peaks = 2.0 * np.abs(spectrum) / (len(values) * math.sqrt(float(np.mean(window**2))))
-    heard = frequencies >= LOWEST_HZ
-    return np.asarray(frequencies[heard], float), peaks[heard]
+    audible = frequencies >= LOWEST_HZ
+    return np.asarray(frequencies[audible], float), peaks[audible]
 
 
 def rung(pressures: Complex, carrier_Hz: float, quality: float) -> Complex:
@@ -49,8 +49,8 @@ def rung(pressures: Complex, carrier_Hz: float, quality: float) -> Complex:
 
     One pole, as `palmfield.drive.transducer_response`: exact for values that are constant between samples.
     """
-    kept = math.exp(-math.pi * carrier_Hz / (quality * RATE_HZ))
-    return np.asarray(lfilter([1.0 - kept], [1.0, -kept], pressures, zi=[kept * pressures[0]])[0])
+    decay = math.exp(-math.pi * carrier_Hz / (quality * RATE_HZ))
+    return np.asarray(lfilter([1.0 - decay], [1.0, -decay], pressures, zi=[decay * pressures[0]])[0])
 
 
 def byproduct(

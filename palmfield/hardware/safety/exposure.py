@@ -30,7 +30,7 @@ class SoundMoment(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Heard:
+class Exposure:
     """Sound at the loudest point of a region, in a free field.
 
     place: [m], shape (3,); peak_Pa: largest peak pressure; mean_square_Pa2: mean over the play of the square of the rms
@@ -72,12 +72,12 @@ def peaks_at(moments: Sequence[SoundMoment], points: Float) -> tuple[Float, NDAr
     return peaks, which
 
 
-def loudest_in(moments: Sequence[SoundMoment], points: Float) -> Heard:
+def loudest_in(moments: Sequence[SoundMoment], points: Float) -> Exposure:
     """Return the sound at the loudest of some points, shape (n, 3)."""
     peaks, which = peaks_at(moments, points)
     best = int(peaks.argmax())
     if peaks[best] <= 0.0:
-        return Heard(points[0], 0.0, 0.0)
+        return Exposure(points[0], 0.0, 0.0)
     return _at(moments, points[best], float(peaks[best]), int(which[best]))
 
 
@@ -92,14 +92,14 @@ def _apart(points: Float, peaks: Float) -> Float:
     return np.array(result)
 
 
-def _at(moments: Sequence[SoundMoment], place: Float, peak_Pa: float, which: int) -> Heard:
+def _at(moments: Sequence[SoundMoment], place: Float, peak_Pa: float, which: int) -> Exposure:
     squares = [
         0.5 * moment.share * float(np.abs(moment.pressure(place[None]))[0]) ** 2 for moment in moments
     ]  # fmt: skip
-    return Heard(place, max(peak_Pa, float(np.abs(moments[which].pressure(place[None]))[0])), sum(squares))
+    return Exposure(place, max(peak_Pa, float(np.abs(moments[which].pressure(place[None]))[0])), sum(squares))
 
 
-def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: Float) -> Heard:
+def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: Float) -> Exposure:
     """Return the sound at the loudest point of the sphere defined by keys head_m and head_radius_m.
 
     transducers: their positions [m], shape (n, 3)
@@ -126,38 +126,38 @@ def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: F
     coarse = ball_points(middle, driver.head_radius_m, SPACING_M)
     peaks, _ = peaks_at(moments, coarse)
     if not peaks.any():
-        return Heard(middle, 0.0, 0.0)
+        return Exposure(middle, 0.0, 0.0)
     near = [ball_points(place, CLOSER_M, CLOSER_SPACING_M) for place in _apart(coarse, peaks)]
     closer = loudest_in(moments, inside(np.concatenate(near)))
     return loudest_in(moments, inside(ball_points(closer.place, CLOSER_SPACING_M, FINEST_SPACING_M)))
 
 
-def with_band(heard: Heard, factors: tuple[float, float] | None) -> Heard:
+def with_band(loudest: Exposure, factors: tuple[float, float] | None) -> Exposure:
     """Add a band. factors: of the squared pressure there, at the ends of the range of p0; None for no range"""
     if factors is None or min(factors) <= 0.0:
-        return heard
+        return loudest
     low, high = (10.0 * math.log10(factor) for factor in factors)
-    return Heard(heard.place, heard.peak_Pa, heard.mean_square_Pa2, (low, high))
+    return Exposure(loudest.place, loudest.peak_Pa, loudest.mean_square_Pa2, (low, high))
 
 
-def check_head(heard: Heard, driver: DriverConfig) -> list[str]:
+def check_head(loudest: Exposure, driver: DriverConfig) -> list[str]:
     """Return warnings for users about the head, in words.
 
     Raises DeviceError if the level, with p0 at the upper end of its range, is above key head_limit_dB.
     """
-    if heard.peak_Pa <= 0.0:
+    if loudest.peak_Pa <= 0.0:
         return []
-    where = "(" + ", ".join(f"{1e3 * x:.0f}" for x in heard.place) + ") mm"
-    level = f"{heard.level_dB:.0f} dB SPL at {where} within head_radius_m of head_m"
-    if heard.band_dB[1] >= 0.5:
-        level += f", up to {heard.most_dB:.0f} dB within the range of p0"
-    if driver.head_limit_dB is not None and heard.most_dB > driver.head_limit_dB:
+    where = "(" + ", ".join(f"{1e3 * x:.0f}" for x in loudest.place) + ") mm"
+    level = f"{loudest.level_dB:.0f} dB SPL at {where} within head_radius_m of head_m"
+    if loudest.band_dB[1] >= 0.5:
+        level += f", up to {loudest.most_dB:.0f} dB within the range of p0"
+    if driver.head_limit_dB is not None and loudest.most_dB > driver.head_limit_dB:
         raise DeviceError(
             f"the level would be {level}; driver key head_limit_dB allows {driver.head_limit_dB:g}: reduce "
             "drive_amplitude, keep the head farther away (head_m), or calibrate the array"
         )
-    if heard.most_dB > OCCUPATIONAL_DB:
+    if loudest.most_dB > OCCUPATIONAL_DB:
         return [f"{level}: above {OCCUPATIONAL_DB:g} dB, an interim limit for people at work"]
-    if heard.most_dB > PUBLIC_DB:
+    if loudest.most_dB > PUBLIC_DB:
         return [f"{level}: above {PUBLIC_DB:g} dB, an interim limit for the public"]
     return []

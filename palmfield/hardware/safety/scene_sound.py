@@ -9,7 +9,7 @@ from palmfield.acoustics.exposure import radiated_power_W
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.estimate.array_inputs import p0_band_at
-from palmfield.hardware.safety.exposure import Heard, SoundMoment, at_head, check_head, with_band
+from palmfield.hardware.safety.exposure import Exposure, SoundMoment, at_head, check_head, with_band
 from palmfield.session.preview import Preview
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.types import Complex, Float
@@ -36,21 +36,21 @@ def drives_over(view: Preview, duration_s: float) -> Iterator[tuple[float, Scene
 def sound_of(drives: list[tuple[PhasedArray, Complex]]) -> list[SoundMoment]:
     """Return the moments that are not silent."""
 
-    def heard(arrays: PhasedArray, drive: Complex) -> SoundMoment:
+    def moment(arrays: PhasedArray, drive: Complex) -> SoundMoment:
         return SoundMoment(lambda points: arrays.field.pressure(points, drive).pressure, 1.0 / len(drives))
 
-    return [heard(arrays, drive) for arrays, drive in drives if drive.any()]
+    return [moment(arrays, drive) for arrays, drive in drives if drive.any()]
 
 
-def scene_at_head(view: Preview, duration_s: float) -> Heard:
+def scene_at_head(view: Preview, duration_s: float) -> Exposure:
     """Return the sound at the head defined by the driver's keys, with bands for the range of p0.
 
     Errors as in `palmfield.hardware.safety.exposure.at_head`.
     """
     model = view.runtime.model
     drives = [(posed.arrays, drive) for *_, posed, drive in drives_over(view, duration_s)]
-    heard = at_head(sound_of(drives), model.spec.driver, model.arrays.array.positions)
-    return banded(view, drives, heard)
+    loudest = at_head(sound_of(drives), model.spec.driver, model.arrays.array.positions)
+    return banded(view, drives, loudest)
 
 
 def warn_at_head(view: Preview, duration_s: float) -> None:
@@ -63,13 +63,13 @@ def warn_at_head(view: Preview, duration_s: float) -> None:
         LOG.warning(line)
 
 
-def banded(view: Preview, drives: list[tuple[PhasedArray, Complex]], heard: Heard) -> Heard:
+def banded(view: Preview, drives: list[tuple[PhasedArray, Complex]], loudest: Exposure) -> Exposure:
     """Add bands for the range of p0 at the loudest moment."""
-    if heard.peak_Pa <= 0.0:
-        return heard
-    loudness = [abs(arrays.pressure64(heard.place[None], drive)[0]) for arrays, drive in drives]
+    if loudest.peak_Pa <= 0.0:
+        return loudest
+    loudness = [abs(arrays.pressure64(loudest.place[None], drive)[0]) for arrays, drive in drives]
     arrays, drive = drives[int(np.argmax(loudness))]
-    return with_band(heard, p0_band_at(view.runtime.model, arrays, drive, heard.place))
+    return with_band(loudest, p0_band_at(view.runtime.model, arrays, drive, loudest.place))
 
 
 def power_W(arrays: PhasedArray, drive: Complex) -> float:

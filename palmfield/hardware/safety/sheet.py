@@ -11,7 +11,7 @@ from palmfield.config import DriverConfig
 from palmfield.drive.board import Board
 from palmfield.errors import DeviceError
 from palmfield.hardware.safety.byproduct import COUNT, RATE_HZ, Byproduct, byproduct, rung
-from palmfield.hardware.safety.exposure import Heard, at_head, check_head
+from palmfield.hardware.safety.exposure import Exposure, at_head, check_head
 from palmfield.hardware.safety.maps import course, head_map, skin_map
 from palmfield.hardware.safety.scene_sound import MOMENTS, banded, drives_over, moments_of, power_W, sound_of
 from palmfield.outputs.safety_picture import LevelCourse, LevelMap
@@ -29,7 +29,7 @@ class AtHand(NamedTuple):
     """Sound at a skin: its name, the incident sound at its loudest point, and the largest ARP there [Pa]."""
 
     skin: str
-    heard: Heard
+    loudest: Exposure
     arp_Pa: float
 
 
@@ -37,7 +37,7 @@ class AtHand(NamedTuple):
 class SafetySheet:
     """Numbers of `palmfield safety` for a scene; levels are of the commanded sound, without ring-up.
 
-    head_declared: whether the scene defines a head; head_said: warnings for users about it, in words
+    head_declared: whether the scene defines a head; head_warnings: warnings for users about it, in words
     distance_m: of the sphere of the head from the beam, 0 if the beam enters it; then byproduct is None
     sounding_share: fraction of moments with sound; p0: of each array; moves: whether hands or arrays move
     maps, course: levels at the head, at the skins, and over the play, for a picture
@@ -49,8 +49,8 @@ class SafetySheet:
     board: Board
     p0: dict[str, Estimate]
     head_declared: bool
-    head: Heard
-    head_said: tuple[str, ...]
+    head: Exposure
+    head_warnings: tuple[str, ...]
     hands: tuple[AtHand, ...]
     distance_m: float
     byproduct: Byproduct | None
@@ -107,25 +107,25 @@ def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
     for number, best in enumerate(loudest):
         name = model.skins[number].spec.name
         if best is None:
-            hands.append(AtHand(name, Heard(np.zeros(3), 0.0, 0.0), 0.0))
+            hands.append(AtHand(name, Exposure(np.zeros(3), 0.0, 0.0), 0.0))
             continue
-        heard = Heard(best.place, best.peak_Pa, float(squares[number]))
+        point = Exposure(best.place, best.peak_Pa, float(squares[number]))
         arp = best.radiation.on(best.posed, number, "quadrature", best.drive).arp
-        hands.append(AtHand(name, banded(view, [(best.posed.arrays, best.drive)], heard), float(arp.max())))
-        maps.append(skin_map(name, best.points, at_skins[number], heard))
+        hands.append(AtHand(name, banded(view, [(best.posed.arrays, best.drive)], point), float(arp.max())))
+        maps.append(skin_map(name, best.points, at_skins[number], point))
     first = max((best for best in loudest if best is not None), key=lambda best: best.peak_Pa, default=None)
     distance, sound = _audible(view, placed, first)
     on = sum(bool(drive.any()) for _, drive in drives) / len(drives)
     skins = {skin.spec.name: own for skin, own in zip(model.skins, over_play, strict=True)}
     p0 = {array.name: one.p0 for array, one in zip(model.spec.arrays, array_instances(model.spec), strict=True)}
     return SafetySheet(
-        view.name, duration_s, placed, model.board, p0, driver.head_m is not None, head, _said(head, placed),
+        view.name, duration_s, placed, model.board, p0, driver.head_m is not None, head, _head_warnings(head, placed),
         tuple(hands), distance, sound, on, model.arrays.array.frequency_Hz, view.moves, tuple(maps),
         course(times, [sound_of([one])[0] if one[1].any() else None for one in drives], placed, head, skins),
     )  # fmt: skip
 
 
-def _said(head: Heard, driver: DriverConfig) -> tuple[str, ...]:
+def _head_warnings(head: Exposure, driver: DriverConfig) -> tuple[str, ...]:
     try:
         return tuple(check_head(head, driver))
     except DeviceError as error:

@@ -6,7 +6,7 @@ from typing import Any
 from palmfield.acoustics.exposure import OCCUPATIONAL_DB, PUBLIC_DB
 from palmfield.drive.limits import WINDOW_S, SoundLimits
 from palmfield.hardware.safety.byproduct import RATE_HZ, Byproduct
-from palmfield.hardware.safety.exposure import Heard
+from palmfield.hardware.safety.exposure import Exposure
 from palmfield.hardware.safety.scene_sound import MOMENTS
 from palmfield.hardware.safety.sheet import SafetySheet
 
@@ -33,9 +33,9 @@ def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
         ("dose at the head for 1 h of this sound", _level(head.dose_dB(3600.0), head), computed),
     ]
     for hand in sheet.hands:
-        heard = hand.heard
-        rows.append((f"SPL at {hand.skin}, loudest moment and point", _level(heard.level_dB, heard), computed))
-        low, high = (hand.arp_Pa * 10.0 ** (end / 10.0) for end in heard.band_dB)
+        loudest = hand.loudest
+        rows.append((f"SPL at {hand.skin}, loudest moment and point", _level(loudest.level_dB, loudest), computed))
+        low, high = (hand.arp_Pa * 10.0 ** (end / 10.0) for end in loudest.band_dB)
         value = f"{hand.arp_Pa:.3g} Pa ({low:.3g} to {high:.3g})"
         rows.append((f"largest ARP at {hand.skin}", value, "computed by the scene's key arp_law; band: range of p0"))
     lines = [
@@ -58,7 +58,7 @@ def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
         f"{OCCUPATIONAL_DB:g} dB at work, as levels. The levels here are of incident sound: reflection by a hand "
         "or a wall can raise them by up to 6 dB, or send a beam to another place. Ring-up of the transducers and "
         "nonlinear losses are not included.",
-        *(f"- {said}" for said in sheet.head_said),
+        *(f"- {note}" for note in sheet.head_warnings),
         *_looked_at(sheet),
         *(() if picture is None else ("", f"![levels at the head and the hand]({picture})")),
         "",
@@ -87,21 +87,21 @@ def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
 def _looked_at(sheet: SafetySheet) -> list[str]:
     """Describe the region of the search for the loudest places."""
     if sheet.moves:
-        said = f"hands and arrays follow the motion of the scene at each of the {MOMENTS} moments"
+        note = f"hands and arrays follow the motion of the scene at each of the {MOMENTS} moments"
     else:
-        said = f"the scene has no motion; its sound is evaluated at {MOMENTS} moments"
+        note = f"the scene has no motion; its sound is evaluated at {MOMENTS} moments"
     warned = "with p0 at the high end of its range" if sheet.head.band_dB[1] > 0.0 else "at the nominal p0"
     return [
         "",
-        f"One play of the scene: {said}. Limits are compared with the loudest point of a region at its loudest "
+        f"One play of the scene: {note}. Limits are compared with the loudest point of a region at its loudest "
         f"moment, {warned}, never with a mean.",
     ]
 
 
-def _level(level_dB: float, heard: Heard) -> str:
+def _level(level_dB: float, loudest: Exposure) -> str:
     if level_dB == -math.inf:
         return "silence"
-    low, high = heard.band_dB
+    low, high = loudest.band_dB
     return f"{level_dB:.0f} dB ({level_dB + low:.0f} to {level_dB + high:.0f})"
 
 
@@ -116,7 +116,7 @@ def _audible(sheet: SafetySheet) -> list[str]:
         return ["Not estimated: the ball of the head lies in the beam, where the formulas do not apply."]
     if sound.level_dBA == -math.inf:
         return ["None: the intensity of the sound does not change over the evaluated quarter of a second."]
-    low, high = (2.0 * end for end in max(sheet.hands, key=lambda hand: hand.heard.peak_Pa).heard.band_dB)
+    low, high = (2.0 * end for end in max(sheet.hands, key=lambda hand: hand.loudest.peak_Pa).loudest.band_dB)
     if _stepped(sound):
         return [
             "Not estimated: the loudest part of the sound lies at the upper end of the estimate, "
@@ -177,10 +177,10 @@ def as_dict(sheet: SafetySheet) -> dict[str, Any]:
         "head_declared": sheet.head_declared,
         "head_m": driver.head_m,
         "head_radius_m": driver.head_radius_m,
-        "head": _heard(sheet.head, sheet.duration_s),
-        "head_warnings": list(sheet.head_said),
+        "head": _facts(sheet.head, sheet.duration_s),
+        "head_warnings": list(sheet.head_warnings),
         "hands": [
-            {"skin": one.skin, **_heard(one.heard, sheet.duration_s), "arp_Pa": one.arp_Pa} for one in sheet.hands
+            {"skin": one.skin, **_facts(one.loudest, sheet.duration_s), "arp_Pa": one.arp_Pa} for one in sheet.hands
         ],
         "p0": {
             name: {
@@ -201,13 +201,13 @@ def as_dict(sheet: SafetySheet) -> dict[str, Any]:
     }
 
 
-def _heard(heard: Heard, duration_s: float) -> dict[str, Any]:
-    low, high = heard.band_dB
+def _facts(loudest: Exposure, duration_s: float) -> dict[str, Any]:
+    low, high = loudest.band_dB
     return {
-        "place_m": heard.place.tolist(),
-        "level_dB": _finite(heard.level_dB),
-        "mean_level_dB": _finite(heard.mean_level_dB),
-        "dose_8h_dB": _finite(heard.dose_dB(duration_s)),
+        "place_m": loudest.place.tolist(),
+        "level_dB": _finite(loudest.level_dB),
+        "mean_level_dB": _finite(loudest.mean_level_dB),
+        "dose_8h_dB": _finite(loudest.dose_dB(duration_s)),
         "band_low_dB": low,
         "band_high_dB": high,
     }

@@ -19,7 +19,7 @@ def partial_of(path: Path) -> Path:
     return path.with_name(f"{path.stem}.partial.usdc")
 
 
-def left_scenes(folder: Path) -> list[tuple[Path, str]]:
+def unfinished_scenes(folder: Path) -> list[tuple[Path, str]]:
     """Return files of an interrupted or running USD export in a folder, and their descriptions."""
     readable = "content of an interrupted USD scene: it can be opened; `palmfield usd` writes the complete scene"
     broken = "part of an interrupted USD scene: remove it if no program writes there"

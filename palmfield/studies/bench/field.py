@@ -226,8 +226,8 @@ def problem_of(model: str, low_m: float, high_m: float, points: int, device: str
 
 def grid(low_m: float, high_m: float, points: int) -> tuple[Any, Any, float]:
     """Return first point, counts and spacing [m] (a multiple of 1/64 mm) of a grid of about `points` points."""
-    wanted_mm = 1e3 * (WIDTH_M**2 * (high_m - low_m) / points) ** (1.0 / 3.0)
-    resolution_m = max(round(64.0 * wanted_mm), 1) / 64e3
+    pitch_mm = 1e3 * (WIDTH_M**2 * (high_m - low_m) / points) ** (1.0 / 3.0)
+    resolution_m = max(round(64.0 * pitch_mm), 1) / 64e3
     steps = np.floor(np.array([WIDTH_M, WIDTH_M, high_m - low_m]) / resolution_m).astype(int) + 1
     half = resolution_m * (steps[:2] - 1) / 2.0
     return np.array([-half[0], -half[1], low_m]), steps, resolution_m

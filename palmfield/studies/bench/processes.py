@@ -96,7 +96,7 @@ class Process:
         self.child.kill()
         self.child.communicate()
 
-    def ask(self, order: str) -> dict[str, Any]:
+    def request(self, order: str) -> dict[str, Any]:
         """Return the answer to one line. Raises PalmfieldError with the last lines of a worker that has ended."""
         assert self.child.stdin is not None and self.child.stdout is not None
         try:
@@ -159,7 +159,7 @@ def measure(
         for i, one in enumerate(methods):
             process = Process(*places[one.module], one, problems[one.method.model], folder / f"{i}.txt")
             processes.append((one, stack.enter_context(process)))
-            answer = process.ask("prepare")
+            answer = process.request("prepare")
             one.missing = answer.get("missing", "")
             if not one.missing:
                 one.setup_s, one.version = answer["setup_s"], answer["version"]
@@ -168,13 +168,13 @@ def measure(
             yard.append((yardstick(), cores()))
             for one, process in processes:
                 if not one.missing:
-                    answer = process.ask("run")
+                    answer = process.request("run")
                     one.clock_s.append(answer["clock_s"])
                     one.core_s.append(answer["core_s"])
                 tick(one.method.name)
         for i, (one, process) in enumerate(processes):
             if not one.missing:
                 path = folder / f"{i}.npy"
-                one.memory_MiB = process.ask(f"save {path}")["memory_MiB"]
+                one.memory_MiB = process.request(f"save {path}")["memory_MiB"]
                 one.result = np.load(path)
     return yard

@@ -61,24 +61,24 @@ class Keyboard:
         else:
             allowed = {str(n): str(n) for n in range(1, task.intervals + 1)}
             question = f"In which interval was it ({', '.join(allowed)})?"
-        self._say(f"{task.question or question} ")
+        self._write(f"{task.question or question} ")
         begun = time.monotonic()
         while True:
             key = self._key()
             if key in allowed:
-                self._say(f"{allowed[key]}\n")
+                self._write(f"{allowed[key]}\n")
                 return allowed[key], time.monotonic() - begun
             if key == "q":
                 raise Stopped
             if key.strip():
-                self._say(f"[{key}: press one of {', '.join(allowed)}; q ends] ")
+                self._write(f"[{key}: press one of {', '.join(allowed)}; q ends] ")
 
     def announce(self, interval: int, of: int) -> None:
         """Print that an interval begins."""
         if of > 1:
-            self._say(f"{interval} ")
+            self._write(f"{interval} ")
 
-    def _say(self, text: str) -> None:
+    def _write(self, text: str) -> None:
         self.screen.write(text)
         self.screen.flush()
 
@@ -164,15 +164,15 @@ class FeelingObserver(SimulatedObserver):
         """
         key = repr(sorted(keys.items()))
         if key not in self.levels:
-            self.levels[key] = self._felt(keys)
+            self.levels[key] = self._level_of(keys)
         return self.levels[key]
 
-    def _felt(self, keys: Mapping[str, object]) -> float:
+    def _level_of(self, keys: Mapping[str, object]) -> float:
         sim = Simulation(self.scene, board=self.board, keys=keys)
-        names, wanted = list(sim.skins), self.design.skin.skin
-        if wanted is not None:
-            refuse_unknown(OutputError, "skin.skin is {}", wanted, names)
-        number = 0 if wanted is None else names.index(wanted)
+        names, skin = list(sim.skins), self.design.skin.skin
+        if skin is not None:
+            refuse_unknown(OutputError, "skin.skin is {}", skin, names)
+        number = 0 if skin is None else names.index(skin)
         steps = step_count(self.design.duration_s, sim.runtime.spec.timestep_s)
         times: Float = np.arange(1.0, steps + 1.0) * sim.runtime.spec.timestep_s
         (point,) = measured(sim, self.design.duration_s, times, errors=False)

@@ -19,9 +19,9 @@ from palmfield.hardware.safety.scene_sound import warn_at_head
 from palmfield.session.preview import preview
 from palmfield.whole_files import made_folder
 
-Heard = Callable[[float], None]
+OnSound = Callable[[float], None]
 """Called with the time of the first frame's sound as soon as it is measured [s, time.monotonic]."""
-MOST_KEPT = 256
+MOST_PREPARED = 256
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Sender(Closing):
     def __init__(self, scene: Path, board: str | None, port: str | None, duration_s: float, log: Path) -> None:
         """log: of frames, its folder is created when needed; files of further players are numbered"""
         self.scene, self.board, self.port, self.duration_s, self.log = scene, board, port, duration_s, log
-        self._known: dict[str, Presentation] = {}
+        self._prepared: dict[str, Presentation] = {}
         self._open: tuple[Board, Path, Player] | None = None
         self._players = 0
 
@@ -90,20 +90,20 @@ class Sender(Closing):
         if self.port is None:
             return None
         key = repr(sorted(keys.items()))
-        if key not in self._known:
-            if len(self._known) >= MOST_KEPT:
-                del self._known[next(iter(self._known))]
-            self._known[key] = presentation(self.scene, self.board, keys, self.duration_s)
-        return self._known[key]
+        if key not in self._prepared:
+            if len(self._prepared) >= MOST_PREPARED:
+                del self._prepared[next(iter(self._prepared))]
+            self._prepared[key] = presentation(self.scene, self.board, keys, self.duration_s)
+        return self._prepared[key]
 
-    def send(self, what: Presentation | None, heard: Heard) -> Emission:
+    def send(self, what: Presentation | None, on_sound: OnSound) -> Emission:
         """Play a presentation to its end, and return when it sounded. Raises DeviceError when the board is lost."""
         if what is None or self.port is None:
             now = time.monotonic()
-            heard(now)
+            on_sound(now)
             return Emission(now, now + self.duration_s, 0, 0, None, 0.0)
         log, player = self._player(what, self.port)
-        report = player.play(what.frames, duration_s=what.duration_s, on_sound=heard)
+        report = player.play(what.frames, duration_s=what.duration_s, on_sound=on_sound)
         if report.first_s is None or report.last_s is None:
             raise DeviceError(f"no frame reached {self.port} in {what.duration_s:g} s; give a longer duration_s")
         file = f"{log.parent.name}/{log.name}"

@@ -66,26 +66,26 @@ def run_experiment(
     plays = virtual or port is not None
     if observer == "keyboard" and answers is None and not plays:
         raise DeviceError("a person needs a board to feel anything; give --port, or --virtual to rehearse")
-    wanted = board or design.board
+    board_name = board or design.board
     with ExitStack() as opened:
         # Invalid keys and sound that the board cannot play raise errors before the first trial
-        first = _checked(design, experiment, scene, wanted, 0)
-        opened.enter_context(_said_once())
+        first = _checked(design, experiment, scene, board_name, 0)
+        opened.enter_context(_warnings_once())
         for number in range(1, len(design.conditions)):
-            _checked(design, experiment, scene, wanted, number)
+            _checked(design, experiment, scene, board_name, number)
         played = first.runtime.model.board
         if plays and played.exact:
             raise DeviceError(f"{scene} uses board '{played.name}', which takes no bytes; give another by --board")
         if plays and first.runtime.spec.driver.model_fields_set & set(SAFETY_KEYS):
-            _allowed(design, experiment, scene, wanted)
-        name = played.name if plays else wanted or "none"
+            _allowed(design, experiment, scene, board_name)
+        name = played.name if plays else board_name or "none"
         writer = opened.enter_context(LogWriter(log, design, scene, participant, observer, name))
         markers = opened.enter_context(Markers.of(design))
         if virtual:
             port = opened.enter_context(VirtualBoard(played)).port
         frames = log.with_name(f"{log.name}.frames") / f"session_{writer.session}.jsonl"
-        sender = opened.enter_context(Sender(scene, wanted, port, design.duration_s, frames))
-        who = answers or observer_of(observer, design, scene, wanted)
+        sender = opened.enter_context(Sender(scene, board_name, port, design.duration_s, frames))
+        who = answers or observer_of(observer, design, scene, board_name)
         before, begun, finished = len(writer.trials), time.monotonic(), True
         session = _Session(design, writer, sender, who, markers)
         try:
@@ -98,7 +98,7 @@ def run_experiment(
 
 
 @contextmanager
-def _said_once() -> Iterator[None]:
+def _warnings_once() -> Iterator[None]:
     """Suppress the scene's repeated messages about changes by another board, which every trial would print."""
     log = logging.getLogger("palmfield.session")
     before = log.level
@@ -156,10 +156,10 @@ class _Session:
                 self.who.announce(interval, count)
             text = f"trial {number} interval {interval} condition {design.conditions[condition].name}"
 
-            def heard(when: float, text: str = f"{text} level {levels[interval - 1]:g}") -> None:
+            def on_sound(when: float, text: str = f"{text} level {levels[interval - 1]:g}") -> None:
                 self.markers.mark(text, when)
 
-            emission = self.sender.send(what, heard)
+            emission = self.sender.send(what, on_sound)
             presented.append({"interval": interval, "level": levels[interval - 1], **emission.as_dict()})
             late_s = self.markers.trigger_late_s
             if late_s is not None:

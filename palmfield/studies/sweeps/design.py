@@ -81,13 +81,13 @@ def grid(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
     """
     if not values:
         raise SceneError("a grid has no keys; give at least one key with its values")
-    taken = {key: _plain(key, of_key) for key, of_key in values.items()}
-    for key, plain in taken.items():
+    plain_values = {key: _plain(key, of_key) for key, of_key in values.items()}
+    for key, plain in plain_values.items():
         if len(set(plain)) < len(plain):
             twice = next(value for number, value in enumerate(plain) if value in plain[:number])
             raise SceneError(f"key '{key}' has the value {twice!r} twice; give each value of a grid once")
-    _check_count(math.prod(len(plain) for plain in taken.values()))
-    return Design("grid", taken)
+    _check_count(math.prod(len(plain) for plain in plain_values.values()))
+    return Design("grid", plain_values)
 
 
 def listed(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
@@ -95,13 +95,13 @@ def listed(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
 
     Raises SceneError for keys without values or with different numbers of them.
     """
-    taken = {key: _plain(key, of_key) for key, of_key in values.items()}
-    lengths = {key: len(plain) for key, plain in taken.items()}
+    plain_values = {key: _plain(key, of_key) for key, of_key in values.items()}
+    lengths = {key: len(plain) for key, plain in plain_values.items()}
     if not lengths or len(set(lengths.values())) > 1:
-        said = ", ".join(f"{key}: {count}" for key, count in lengths.items()) or "no keys"
-        raise SceneError(f"a list has one value of each key for each point; it has {said}")
+        counts = ", ".join(f"{key}: {count}" for key, count in lengths.items()) or "no keys"
+        raise SceneError(f"a list has one value of each key for each point; it has {counts}")
     _check_count(next(iter(lengths.values())))
-    return Design("list", taken)
+    return Design("list", plain_values)
 
 
 def random(values: Mapping[str, Range | Sequence[Any]], count: int, seed: int = 0) -> Design:
@@ -143,24 +143,24 @@ def _check_count(count: int) -> None:
 def _spread(values: Mapping[str, Range | Sequence[Any]], unit: np.ndarray) -> dict[str, tuple[Value, ...]]:
     """Map points of the unit cube, shape (points, keys), to values of the keys."""
     result: dict[str, tuple[Value, ...]] = {}
-    for (key, wanted), shares in zip(values.items(), unit.T, strict=True):
-        if isinstance(wanted, Range):
-            low, high, logarithmic = wanted
-            check_range(key, wanted)
+    for (key, of_key), shares in zip(values.items(), unit.T, strict=True):
+        if isinstance(of_key, Range):
+            low, high, logarithmic = of_key
+            check_range(key, of_key)
             if logarithmic:
                 drawn = np.exp(math.log(low) + shares * (math.log(high) - math.log(low)))
             else:
                 drawn = low + shares * (high - low)
             result[key] = tuple(float(number) for number in drawn)
         else:
-            plain = _plain(key, wanted)
+            plain = _plain(key, of_key)
             result[key] = tuple(plain[int(share * len(plain))] for share in shares)
     return result
 
 
-def check_range(key: str, wanted: Range) -> None:
+def check_range(key: str, span: Range) -> None:
     """Check a range. Raises SceneError for a range that is empty or cannot be logarithmic."""
-    low, high, logarithmic = wanted
+    low, high, logarithmic = span
     if not (math.isfinite(low) and math.isfinite(high) and low != high):
         raise SceneError(f"key '{key}' has the range {low:g}:{high:g}; allowed: two different finite numbers")
     if logarithmic and min(low, high) <= 0.0:

@@ -86,10 +86,10 @@ def _present(client: Any, slots: Sequence[Slot], slot: int) -> Slot:
     """Return a thread, or, if its worker is lost, a thread of the worker that replaces it."""
     own = slots[slot]
     present = client.nthreads()
-    taken = {other.address for other in slots}
+    used = {other.address for other in slots}
     if own.address in present:
         return own
-    return own._replace(address=next((address for address in present if address not in taken), own.address))
+    return own._replace(address=next((address for address in present if address not in used), own.address))
 
 
 def _failure(error: BaseException) -> Failed:

@@ -101,7 +101,7 @@ def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | No
     values that are invalid whatever the other values are.
     """
     places: dict[str, tuple[_Place, ...]] = {}
-    taken: dict[tuple[str, str], list[tuple[str, int | None]]] = {}
+    set_by: dict[tuple[str, str], list[tuple[str, int | None]]] = {}
     for key in [*sorted(fixed, key=lambda key: COMPONENT.fullmatch(key) is not None), *design.keys]:
         found = COMPONENT.fullmatch(key)
         plain, component = (found["key"], int(found["place"])) if found else (key, None)
@@ -110,12 +110,12 @@ def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | No
         name = plain.rpartition(".")[2]
         places[key] = tuple(_Place(by_name[owner], name, component) for owner in changes)
         for owner in changes:
-            for other, part in taken.setdefault((owner, name), []):
+            for other, part in set_by.setdefault((owner, name), []):
                 # One component may be swept of a vector that all points share
                 whole_first = part is None and component is not None and other in fixed
                 if not whole_first and (component is None or part is None or part == component):
                     raise SceneError(f"keys '{other}' and '{key}' both set {owner}.{name}; give one of them")
-            taken[owner, name].append((key, component))
+            set_by[owner, name].append((key, component))
     for key, values in (*((key, (value,)) for key, value in fixed.items()), *design.values.items()):
         for place in places[key]:
             for value in dict.fromkeys(values):

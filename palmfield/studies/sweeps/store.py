@@ -78,7 +78,7 @@ class SweepStore:
             return
         try:
             for number, result in results.items():
-                self._take(self.design.index(number), result)
+                self._add(self.design.index(number), result)
             self._write_courses(results)
             self._flush([self.design.index(number)[0] for number in results])
         except OSError as error:
@@ -95,7 +95,7 @@ class SweepStore:
     def failure(self, number: int) -> str:
         return str(self._small["failure"][self.design.index(number)])
 
-    def _take(self, index: tuple[int, ...], result: Numbers | Failed) -> None:
+    def _add(self, index: tuple[int, ...], result: Numbers | Failed) -> None:
         """Copy one point into memory, except its time series."""
         if isinstance(result, Failed):
             self._small["failure"][index] = result.reason
@@ -177,9 +177,9 @@ class SweepStore:
             made[key] = (dim, _column(values), {"long_name": f"key {key}"} | _unit(key))
         if self.design.kind != "grid":
             made["point"] = ("point", np.arange(self.design.count), {"long_name": "number of the point; first 0"})
-        for name, known in labels.items():
+        for name, label in labels.items():
             about = {"units": "s", "long_name": "time from the start of the run"} if name in COURSES else {}
-            made[name] = (name, known.astype(object) if known.dtype.kind == "U" else known, about)
+            made[name] = (name, label.astype(object) if label.dtype.kind == "U" else label, about)
         names, what = LABELS["xyz"]
         made["xyz"] = ("xyz", np.array(names, dtype=object), {"long_name": what})
         return made
@@ -189,13 +189,13 @@ class SweepStore:
         import zarr
 
         there = json.loads(str(zarr.open_group(self.path, mode="r").attrs["identity"]))
-        wanted = json.loads(_text(identity))
-        differing = [name for name in wanted if there.get(name) != wanted[name]]
+        expected = json.loads(_text(identity))
+        differing = [name for name in expected if there.get(name) != expected[name]]
         if differing:
             name = differing[0]
             raise OutputError(
                 f"{self.path} contains another sweep: its {name} is {_short(there.get(name))}, not "
-                f"{_short(wanted[name])}; choose another folder, or delete this one"
+                f"{_short(expected[name])}; choose another folder, or delete this one"
             )
 
     def _open(self) -> None:

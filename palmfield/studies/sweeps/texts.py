@@ -47,11 +47,11 @@ def read_design(
             raise SceneError(f"--set {text} has no values; write {DRAWN_FORMS if drawn else FORMS}")
         if key in swept or key in fixed:
             raise SceneError(f"--set {text}: key '{key}' is given twice; give each key once")
-        wanted = _values(key, values, drawn) if values else None
-        if isinstance(wanted, list | Range):
-            swept[key] = wanted
+        span = _values(key, values, drawn) if values else None
+        if isinstance(span, list | Range):
+            swept[key] = span
         else:
-            fixed[key] = wanted
+            fixed[key] = span
     if table is not None:
         if swept:
             raise SceneError(
@@ -65,7 +65,7 @@ def read_design(
         return sobol(swept, sobol_points, seed), fixed
     if not swept:
         raise SceneError(f"the sweep has no values; give --set with several values: {FORMS}")
-    return grid({key: wanted for key, wanted in swept.items() if not isinstance(wanted, Range)}), fixed
+    return grid({key: span for key, span in swept.items() if not isinstance(span, Range)}), fixed
 
 
 def _values(key: str, text: str, drawn: bool) -> list[Value] | Range | Value:
@@ -96,10 +96,10 @@ def _range(key: str, text: str, parts: list[str], logarithmic: bool, drawn: bool
         raise SceneError(f"--set {key}={text} is empty: it has {count} values; allowed: at least 1")
     if count == 1 and low == high:
         return [low]
-    wanted = Range(low, high, logarithmic)
-    check_range(key, wanted)
+    span = Range(low, high, logarithmic)
+    check_range(key, span)
     if drawn:
-        return wanted
+        return span
     values = np.geomspace(low, high, count) if logarithmic else np.linspace(low, high, count)
     # Rounded, because 0.1 + 0.2 would be labelled 0.30000000000000004
     return [float(f"{value:.12g}") for value in values]

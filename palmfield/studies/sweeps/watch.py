@@ -69,7 +69,7 @@ class Watched:
             assert reader is not None
             self.motion[skin][world, 0] = stepper.read(numbers, reader)[0]
         posed, course = runtime.now()
-        self._hear(world, posed, emitted_at(course, np.array([0])), np.array([self.begun_s]), slice(0, 1))
+        self._add_sound(world, posed, emitted_at(course, np.array([0])), np.array([self.begun_s]), slice(0, 1))
 
     def _rows(self, count: int) -> slice:
         """Return the rows of the present step's substeps in the arrays over time."""
@@ -79,15 +79,15 @@ class Watched:
         rows = self._rows(len(trace.times))
         self.times[rows] = trace.times - self.begun_s
         for motion, watched in zip(self.motion, trace.motion, strict=True):
-            for worlds, seen in watched:
+            for worlds, records in watched:
                 # Whole rows, world by world, because NumPy is slow with index arrays
-                for world, own in zip(worlds.tolist(), seen, strict=True):
+                for world, own in zip(worlds.tolist(), records, strict=True):
                     motion[world, rows] = own
         if len(trace.worlds) == 1 or trace.levels.shape[2] != 1:
             [world] = trace.worlds.tolist()
             runtime = self.runtimes[world]
             emitted = emitted_at_ends(runtime.work.emission, trace, runtime.model.step_s)
-            self._hear(world, trace.posed[0], emitted, trace.times, rows)
+            self._add_sound(world, trace.posed[0], emitted, trace.times, rows)
             return
         at_ends = trace.levels[:, np.argmax(trace.moments.last, axis=1), 0]
         factors = at_ends.real**2 + at_ends.imag**2
@@ -118,7 +118,7 @@ class Watched:
         moment = LoudestMoment(float(time_s), trace.posed[i], trace.course(i).units[0], float(factor))
         self.loudest[int(trace.worlds[i])][skin] = moment
 
-    def _hear(self, world: int, posed: PosedScene, emitted: Emitted, times: Float, rows: slice) -> None:
+    def _add_sound(self, world: int, posed: PosedScene, emitted: Emitted, times: Float, rows: slice) -> None:
         """Record the sound of one world at some times [s]. rows: their indices along time"""
         radiation, one = self.runtimes[world].work.radiation, emitted.drives.ndim == 1
         for skin in range(len(self.motion)):

@@ -132,8 +132,8 @@ def sweep(
     memory = _memory_bytes(view, groups, most)
     count = _worker_count(workers, gpus, design.count, memory, gpu_memory_bytes() if gpus else 0)
     size = size_bytes(design, view.labels, errors)
-    said = _in_words(view, design, size, memory, None if scheduler else count)
-    LOG.info("%s", said)
+    summary = _in_words(view, design, size, memory, None if scheduler else count)
+    LOG.info("%s", summary)
     stepped = in_words(groups)
     if stepped:
         LOG.info("%s", stepped)
@@ -318,9 +318,9 @@ def _collect(
             failed += sum(isinstance(result, Failed) for result in some.values())
             bar.update(row, completed=done, description=f"{failed} failed" if failed else "computing")
             spent = time.monotonic() - started
-            left = spent / done * (points - done)
-            if not confirmed and left > LONG_S and (written >= SURE_BATCHES * workers or spent > SURE_S):
+            remaining_s = spent / done * (points - done)
+            if not confirmed and remaining_s > LONG_S and (written >= SURE_BATCHES * workers or spent > SURE_S):
                 bar.stop()
-                _confirm(f"{points - done} of {points} points are left, about {left / 3600:.1f} h", yes, ask)
+                _confirm(f"{points - done} of {points} points are left, about {remaining_s / 3600:.1f} h", yes, ask)
                 confirmed = True
                 bar.start()

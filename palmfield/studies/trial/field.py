@@ -18,26 +18,26 @@ from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import frames_at
 from palmfield.studies.trial.course import SceneCourse
-from palmfield.studies.trial.sending import Heard
+from palmfield.studies.trial.sending import Drives
 from palmfield.types import Complex, Float
 
 GOOD_RAD = 1.0
 """Largest mean phase error of a sound that has a focus [rad]."""
-HEARD = 0.3
+LEAST_LEVEL = 0.3
 """Pressures are compared if the level is at least this fraction of that of the loudest frame."""
 
 
 class Pressures(NamedTuple):
     """Pressure amplitude at the target position on the hand [Pa], at full level.
 
-    wanted: drive for the true position; late: drive for the estimated position; rounded: the same after rounding by
-    the board; heard: the same with the true transducers
+    target: drive for the true position; late: drive for the estimated position; rounded: the same after rounding by
+    the board; played: the same with the true transducers
     """
 
-    wanted: float
+    target: float
     late: float
     rounded: float
-    heard: float
+    played: float
 
 
 @dataclass(frozen=True)
@@ -129,13 +129,13 @@ class TrueSound:
         except SceneError:
             return np.zeros(len(self.model.arrays), np.complex128)
 
-    def moment(self, time_s: float, due_times: Sequence[float], heard: Heard, loudest: float) -> TrialMoment | None:
+    def moment(self, time_s: float, due_times: Sequence[float], drives: Drives, loudest: float) -> TrialMoment | None:
         """Return the sound at the hand at a time [s]; None before the first frame.
 
         due_times: of all frames; loudest: highest level of all frames, 0..1
         """
         emitted_s = time_s - self.flight_s(self.focus(time_s, time_s))
-        found = heard.at(emitted_s)
+        found = drives.at(emitted_s)
         if found is None:
             return None
         emitted, sent = found
@@ -143,17 +143,17 @@ class TrueSound:
         true = self.focus(time_s, due)
         posed = self.course.posed(time_s)
         ideal = self.ideal(time_s, due)
-        level, level_ideal = level_of(sent.frame.wanted), level_of(ideal)
+        level, level_ideal = level_of(sent.frame.target), level_of(ideal)
         believed = sent.frame.focus
         pressures = [np.nan] * 4
-        if min(level, level_ideal) >= HEARD * loudest > 0.0:
+        if min(level, level_ideal) >= LEAST_LEVEL * loudest > 0.0:
             model, real = posed.arrays, self.true_arrays(posed.arrays)
             point = true[None]
             played = emitted.amplitudes / level
-            drives = (model, ideal / level_ideal), (model, sent.frame.wanted / level), (model, played), (real, played)
-            pressures = [float(np.abs(arrays.pressure64(point, drive)[0])) for arrays, drive in drives]
+            cases = (model, ideal / level_ideal), (model, sent.frame.target / level), (model, played), (real, played)
+            pressures = [float(np.abs(arrays.pressure64(point, drive)[0])) for arrays, drive in cases]
         sounding = self._sounding(posed.arrays, emitted.amplitudes, believed)
-        age_s = time_s - sent.frame.seen_s
+        age_s = time_s - sent.frame.sample_s
         return TrialMoment(time_s, true, believed, sounding, age_s, sent.number, level, Pressures(*pressures))
 
     def _sounding(self, arrays: PhasedArray, amplitudes: Complex, near: Float) -> Float:

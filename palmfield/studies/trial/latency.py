@@ -18,7 +18,7 @@ from palmfield.session.live_scene import LiveScene
 from palmfield.session.preview import Preview, preview
 from palmfield.studies.trial.live import Live, LivePlayed, play_live
 from palmfield.studies.trial.pose_estimate import Tracker
-from palmfield.studies.trial.sending import Heard
+from palmfield.studies.trial.sending import Drives
 from palmfield.types import Float
 
 LINE_SHARE = 0.95
@@ -136,12 +136,12 @@ def measure_latency(
 
 def latencies(played: LivePlayed, board: Board) -> Float:
     """Return for each emitted frame the time from its sample to its sound [s]."""
-    heard = Heard(played.sent, board)
+    drives = Drives(played.sent, board)
     result: dict[int, float] = {}
-    for time_s in heard.times:
-        found = heard.at(float(time_s))
+    for time_s in drives.times:
+        found = drives.at(float(time_s))
         if found is not None:
-            result.setdefault(found[1].number, float(time_s) - found[1].frame.seen_s)
+            result.setdefault(found[1].number, float(time_s) - found[1].frame.sample_s)
     return np.array(list(result.values()))
 
 

@@ -117,10 +117,10 @@ def play_live(
         live.on_listening(follower.listener.host, follower.listener.port)
         follower.wait(live.wait_s)
 
-        def silent(focus: Float, seen_s: float) -> MadeFrame:
-            wanted = np.zeros(len(model.arrays), np.complex128)
-            data = board.encode(wanted) if board.takes == "amplitudes" else board.encode_focus((0.0, 0.0, 0.2), 0.0)
-            return MadeFrame(data, focus, seen_s, lambda: wanted, sounds=False)
+        def silent(focus: Float, sample_s: float) -> MadeFrame:
+            silence = np.zeros(len(model.arrays), np.complex128)
+            data = board.encode(silence) if board.takes == "amplitudes" else board.encode_focus((0.0, 0.0, 0.2), 0.0)
+            return MadeFrame(data, focus, sample_s, lambda: silence, sounds=False)
 
         def make(now_s: float, due_s: float) -> MadeFrame:
             nonlocal silenced
@@ -132,18 +132,18 @@ def play_live(
             posed = posed_of[0][1]
             focus = focus_in(model, number, posed, due_s)
             # Use the tracker's clock until its offset to this machine's clock is measured
-            seen_s = newest.sample_s
+            sample_s = newest.sample_s
             if follower.stale:
                 silenced += 1
-                return silent(focus, seen_s)
+                return silent(focus, sample_s)
             share = limits.share(board, due_s, duration_s)
             try:
                 data = frames.at(posed, due_s, share)
             except SceneError as error:
                 # A live hand may move behind the array
                 unreachable.append(str(error))
-                return silent(focus, seen_s)
-            return MadeFrame(data, focus, seen_s, lambda: share * afterwards.wanted(posed, due_s), frames.sounds)
+                return silent(focus, sample_s)
+            return MadeFrame(data, focus, sample_s, lambda: share * afterwards.wanted(posed, due_s), frames.sounds)
 
         sent = send(
             board, times, make, duration_s, port=port or VIRTUAL, log=log, limits=limits, on_progress=on_progress
@@ -151,7 +151,7 @@ def play_live(
         listener = follower.listener
         start_s = listener.offset_s - tracker.latency_s - sent.zero_s
         for one in sent.frames:
-            one.frame.seen_s += start_s
+            one.frame.sample_s += start_s
         fitted = 1e3 * np.array(follower.fit_s)
         notes = [
             f"tracker: {listener.report()}",

@@ -50,10 +50,10 @@ class Tracker:
 
 
 class EstimatedPose(NamedTuple):
-    """posed: estimated scene; seen_s: time of the last sample that has arrived [s]"""
+    """posed: estimated scene; sample_s: time of the last sample that has arrived [s]"""
 
     posed: PosedScene
-    seen_s: float
+    sample_s: float
 
 
 class PoseEstimator:
@@ -70,31 +70,31 @@ class PoseEstimator:
         self._last: tuple[float, Frames] | None = None
         # Samples are computed in advance, so that they do not delay frames
         count = min(MOST_AHEAD, math.floor(course.end_s * tracker.rate_Hz) - self._next + 1) if tracker.rate_Hz else 0
-        self._coming = deque(self._seen((self._next + number) / tracker.rate_Hz) for number in range(count))
+        self._coming = deque(self._sample((self._next + number) / tracker.rate_Hz) for number in range(count))
 
-    def at(self, now_s: float, heard_s: float) -> EstimatedPose:
+    def at(self, now_s: float, sound_s: float) -> EstimatedPose:
         """Return the estimate at a time of the trial [s], which must not decrease between calls.
 
-        heard_s: the middle of the time for which the frame made now will sound [s]
+        sound_s: the middle of the time for which the frame made now will sound [s]
         """
-        rate, known_s = self.tracker.rate_Hz, now_s - self.tracker.latency_s
+        rate, arrived_s = self.tracker.rate_Hz, now_s - self.tracker.latency_s
         if rate == 0.0:
-            frames = self._seen(known_s)
-            return EstimatedPose(self.course.posed(known_s, frames), known_s)
-        while self._last is None or self._next <= math.floor(known_s * rate + 1e-9):
+            frames = self._sample(arrived_s)
+            return EstimatedPose(self.course.posed(arrived_s, frames), arrived_s)
+        while self._last is None or self._next <= math.floor(arrived_s * rate + 1e-9):
             sample_s = self._next / rate
-            self._last = sample_s, self._coming.popleft() if self._coming else self._seen(sample_s)
+            self._last = sample_s, self._coming.popleft() if self._coming else self._sample(sample_s)
             if self.tracker.ahead_s != 0.0:
                 self._add(*self._last)
             self._next += 1
         sample_s, frames = self._last
         if self.tracker.ahead_s != 0.0:
-            until_s = heard_s if self.tracker.ahead_s is None else sample_s + self.tracker.ahead_s
+            until_s = sound_s if self.tracker.ahead_s is None else sample_s + self.tracker.ahead_s
             positions, turned = self._filter.frames(min(until_s, sample_s + LONGEST_AHEAD_S))
             frames = Frames(positions, matrices(turned), turned)
         return EstimatedPose(self.course.posed(sample_s, frames), sample_s)
 
-    def _seen(self, time_s: float) -> Frames:
+    def _sample(self, time_s: float) -> Frames:
         """Return a sample of the tracker at a time [s]. Fixed parts have no error."""
         frames = self.course.frames(time_s)
         if self.tracker.noise_m == 0.0:

@@ -19,7 +19,7 @@ from palmfield.estimate.array_inputs import p0_band
 from palmfield.input_files import read_text, reading
 from palmfield.instruments import scan
 from palmfield.studies.trial.field import TrialMoment, TrueSound
-from palmfield.studies.trial.sending import Heard
+from palmfield.studies.trial.sending import Drives
 from palmfield.studies.trial.skin_response import SkinResponse
 from palmfield.tables import numbers_in
 from palmfield.types import Float
@@ -133,12 +133,12 @@ def _recording(lines: list[str], name: str) -> Recording:
 
 
 def compare(
-    recording: Recording, moments: Sequence[TrialMoment], sound: TrueSound, heard: Heard, skin: SkinResponse | None
+    recording: Recording, moments: Sequence[TrialMoment], sound: TrueSound, drives: Drives, skin: SkinResponse | None
 ) -> Compared:
     """Compare a recording with the same quantity of a trial. Raises SceneError for motion of a skin without steps."""
     if recording.quantity == "pressure":
         times = np.array([one.time_s for one in moments])
-        values = _pressures(times, np.array(recording.place_m), sound, heard)
+        values = _pressures(times, np.array(recording.place_m), sound, drives)
         power = 0.5
     else:
         if skin is None:
@@ -152,13 +152,13 @@ def compare(
     )
 
 
-def _pressures(times: Float, place: Float, sound: TrueSound, heard: Heard) -> Float:
+def _pressures(times: Float, place: Float, sound: TrueSound, drives: Drives) -> Float:
     """Return the pressure amplitude at a fixed position [Pa], shape (k,)."""
     values: Float = np.zeros(len(times))
     cached: tuple[object, float] = (None, 0.0)
     flight_s = sound.flight_s(place)
     for n, time_s in enumerate(times):
-        found = heard.at(float(time_s) - flight_s)
+        found = drives.at(float(time_s) - flight_s)
         if found is None:
             continue
         amplitudes = found[0].amplitudes

@@ -115,9 +115,9 @@ def numbers_of(
     names, rows = table_of(moments, None)
     column = dict(zip(names, rows.T, strict=True))
     lateral, depth = 1e3 * column["lateral_error_m"], 1e3 * np.abs(column["depth_error_m"])
-    wanted, late = column["wanted_Pa"], column["late_Pa"]
-    rounded, heard = column["rounded_Pa"], column["heard_Pa"]
-    compared = wanted[np.isfinite(wanted)]
+    target, late = column["wanted_Pa"], column["late_Pa"]
+    rounded, played = column["rounded_Pa"], column["heard_Pa"]
+    compared = target[np.isfinite(target)]
     return Numbers(
         scene=scene,
         board=board.name,
@@ -139,10 +139,10 @@ def numbers_of(
         distance_mm=_spread(np.hypot(lateral, depth)),
         without_focus=float(np.mean(~np.isfinite(lateral))) if len(lateral) else 1.0,
         age_ms=_spread(1e3 * column["age_s"]),
-        kept_late=_share(late, wanted),
+        kept_late=_share(late, target),
         kept_rounded=_share(rounded, late),
-        kept_calibration=None if truth is None else _share(heard, rounded),
-        kept=_share(heard, wanted),
+        kept_calibration=None if truth is None else _share(played, rounded),
+        kept=_share(played, target),
         wanted_Pa=float(compared.mean()) if len(compared) else np.nan,
         push_um=_rms_um(skin),
         push_ideal_um=_rms_um(skin_ideal),
@@ -202,14 +202,14 @@ def as_text(numbers: Numbers, compared: Compared | None) -> str:
     if n.without_focus > 0.0:
         lines.append(f"                no focus for {100.0 * n.without_focus:.1f} % of the time")
     lines += [
-        f"pressure kept   {_kept(n.kept)} of {n.wanted_Pa:.0f} Pa at the hand",
-        f"  by latency    {_kept(n.kept_late)}",
-        f"  by the board  {_kept(n.kept_rounded)}: its rounding, and its own focus computation",
+        f"pressure kept   {_percent(n.kept)} of {n.wanted_Pa:.0f} Pa at the hand",
+        f"  by latency    {_percent(n.kept_late)}",
+        f"  by the board  {_percent(n.kept_rounded)}: its rounding, and its own focus computation",
     ]
     if n.kept_calibration is None:
         lines.append("  by calibration  unknown: transducers are assumed as in the scene (--truth)")
     else:
-        lines.append(f"  by calibration {_kept(n.kept_calibration)}")
+        lines.append(f"  by calibration {_percent(n.kept_calibration)}")
     if n.push_um is not None and n.push_ideal_um:
         lines.append(
             f"skin            displacement {n.push_um:.3g} um (rms) at the intended focus, "
@@ -237,5 +237,5 @@ def _of(spread: Spread) -> str:
     return f"{spread.mean:.2f} (95 %: {spread.p95:.2f}, largest {spread.largest:.2f})"
 
 
-def _kept(share: Share) -> str:
+def _percent(share: Share) -> str:
     return f"{share.mean:.4f} (least {share.least:.4f}; of the ARP {share.mean**2:.4f})"

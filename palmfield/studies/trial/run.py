@@ -32,7 +32,7 @@ from palmfield.studies.trial.live import Live, play_live
 from palmfield.studies.trial.pose_estimate import PoseEstimator, Tracker
 from palmfield.studies.trial.recording import Compared, Recording, compare
 from palmfield.studies.trial.report import Numbers, as_text, numbers_of, table_of
-from palmfield.studies.trial.sending import VIRTUAL, Heard, MadeFrame, Sent, send
+from palmfield.studies.trial.sending import VIRTUAL, Drives, MadeFrame, Sent, send
 from palmfield.studies.trial.skin_response import SkinResponse, skin_response
 from palmfield.tables import write_table
 from palmfield.terminal import bars
@@ -120,8 +120,8 @@ def trial(
         else:
             done = _followed(view, scene, board, changed, live, way, Path(spare) if folder is None else folder)
             changed |= done.keys
-        sent, heard = done.sent, Heard(done.sent, played)
-        moments = _course(sent, _moments(done.sound.course, duration), done.times, heard, done.sound, show_stage)
+        sent, drives = done.sent, Drives(done.sent, played)
+        moments = _course(sent, _moments(done.sound.course, duration), done.times, drives, done.sound, show_stage)
         motion = ideal_motion = None
         if skin and moments and not sent.interrupted:
             show_stage("computing the skin under the emitted sound", None)
@@ -132,7 +132,7 @@ def trial(
     )  # fmt: skip
     compared = None
     if recording is not None and not sent.interrupted:
-        compared = compare(recording, moments, done.sound, heard, motion)
+        compared = compare(recording, moments, done.sound, drives, motion)
     result = Trial(numbers, moments, sent, motion, ideal_motion, compared)
     return result if folder is None else replace(result, files=_written(result, folder, log is not None))
 
@@ -191,8 +191,8 @@ def _followed(
     show_stage("computing the scene with the tracked motion", None)
     write_stream(folder / "tracked.npz", played.stream)
     own = live.keys(played.motion, folder / "tracked.npz", played.start_s)
-    seen = preview(scene, device="cpu", board=board, keys={**keys, **own})
-    course = SceneCourse(seen, duration_s, as_far_as_it_goes=True)
+    replayed = preview(scene, device="cpu", board=board, keys={**keys, **own})
+    course = SceneCourse(replayed, duration_s, as_far_as_it_goes=True)
     notes = list(played.notes)
     if course.refused:
         notes.append(f"the sound at the hand is computed up to {course.end_s:.3f} s: {course.refused}")
@@ -220,13 +220,13 @@ def _maker(
         nonlocal flight_s
         until_s = float(ends[np.searchsorted(times, due_s)])
         middle_s = due_s if exact else 0.5 * (due_s + until_s)
-        estimate = estimator.at(now_s, middle_s + flight_s)
+        posed, sample_s = estimator.at(now_s, middle_s + flight_s)
         share = sound.share(due_s)
-        data = b"" if exact else frames.at(estimate.posed, due_s, share)
-        focus = focus_in(course.model, sound.number, estimate.posed, due_s)
+        data = b"" if exact else frames.at(posed, due_s, share)
+        focus = focus_in(course.model, sound.number, posed, due_s)
         flight_s = sound.flight_s(focus)
         sounds = exact or frames.sounds
-        return MadeFrame(data, focus, estimate.seen_s, lambda: share * afterwards.wanted(estimate.posed, due_s), sounds)
+        return MadeFrame(data, focus, sample_s, lambda: share * afterwards.wanted(posed, due_s), sounds)
 
     return make
 
@@ -248,10 +248,10 @@ def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
 
 
 def _course(
-    sent: Sent, moments_s: list[float], times: list[float], heard: Heard, sound: TrueSound, show_stage: "ShowStage"
+    sent: Sent, moments_s: list[float], times: list[float], drives: Drives, sound: TrueSound, show_stage: "ShowStage"
 ) -> list[TrialMoment]:
     """Compute the sound at the hand over the trial so far; Ctrl-C keeps the computed part."""
-    loudest = max((level_of(one.frame.wanted) for one in sent.frames), default=0.0)
+    loudest = max((level_of(one.frame.target) for one in sent.frames), default=0.0)
     moments = []
     show_stage("computing the sound at the hand", moments_s[-1] if moments_s else None)
     try:
@@ -259,7 +259,7 @@ def _course(
             for time_s in moments_s:
                 if time_s > sent.end_s:
                     break
-                moment = sound.moment(time_s, times, heard, loudest)
+                moment = sound.moment(time_s, times, drives, loudest)
                 if moment is not None:
                     moments.append(moment)
                 show_stage(None, time_s)

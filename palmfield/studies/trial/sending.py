@@ -46,24 +46,24 @@ class MadeFrame:
     """A frame for a board.
 
     data: its bytes, none for a board without a line; focus: its target, array frame [m], shape (3,)
-    seen_s: time of the last sample from which it was made [s]
+    sample_s: time of the last sample from which it was made [s]
     sounds: whether any transducer is on
-    wanted: target drive of the transducers before rounding, shape (N,); computed at first use, to save time while
+    target: drive of the transducers before rounding, shape (N,); computed at first use, to save time while
         sending
     """
 
     def __init__(
-        self, data: bytes, focus: Float, seen_s: float, want: Callable[[], Complex], sounds: bool = True
+        self, data: bytes, focus: Float, sample_s: float, make_target: Callable[[], Complex], sounds: bool = True
     ) -> None:
-        self.data, self.focus, self.seen_s, self.sounds = data, focus, seen_s, sounds
-        self._want: Callable[[], Complex] | None = want
+        self.data, self.focus, self.sample_s, self.sounds = data, focus, sample_s, sounds
+        self._make_target: Callable[[], Complex] | None = make_target
 
     @cached_property
-    def wanted(self) -> Complex:
-        assert self._want is not None
+    def target(self) -> Complex:
+        assert self._make_target is not None
         # Free the data from which it was made, which are large
-        want, self._want = self._want, None
-        return want()
+        make_target, self._make_target = self._make_target, None
+        return make_target()
 
 
 Make = Callable[[float, float], MadeFrame]
@@ -107,10 +107,10 @@ class Sent:
         """Number of frames that were due and not sent."""
         return self.due - len(self.frames)
 
-    def add(self, frame: SentFrame, takes_s: float) -> None:
+    def add(self, frame: SentFrame, line_s: float) -> None:
         """Add a sent frame. takes_s: its duration on the line [s]"""
         self.frames.append(frame)
-        ends = frame.begun_s + takes_s
+        ends = frame.begun_s + line_s
         self.late_s, self.end_s = max(self.late_s, ends - frame.due_s), ends
 
 
@@ -164,7 +164,7 @@ def send(
         sent = _play_on_port(order, port, log, limits)
         _emit_by_twin(board, sent, duration_s)
     for one in sent.frames:
-        one.frame.wanted  # noqa: B018 - computed in the order in which frames were made
+        one.frame.target  # noqa: B018 - computed in the order in which frames were made
     return sent
 
 
@@ -173,13 +173,13 @@ def _not_early(board: Board, frames: list[SentFrame], emitted: list[Emitted]) ->
 
     A virtual board estimates arrival times from the time of reading; on a busy machine they may be too early.
     """
-    begin, takes_s = len(board.decode(board.start)), board.frame_time_s
+    begin, line_s = len(board.decode(board.start)), board.frame_time_s
     if len(emitted) < begin + len(frames):
         return emitted
     result = list(emitted)
     for number, sent in enumerate(frames, begin):
         emission = emitted[number]
-        result[number] = emission._replace(time_s=max(emission.time_s, sent.begun_s + takes_s))
+        result[number] = emission._replace(time_s=max(emission.time_s, sent.begun_s + line_s))
     return sorted(result, key=lambda one: one.time_s)
 
 
@@ -189,7 +189,7 @@ def _play_exactly(order: _Order) -> Sent:
     for number, due_s in enumerate(order.times_s):
         frame = order.make(due_s, due_s)
         sent.frames.append(SentFrame(number, due_s, due_s, due_s, frame))
-        sent.emitted.append(Emitted(due_s, frame.wanted))
+        sent.emitted.append(Emitted(due_s, frame.target))
     return sent
 
 
@@ -216,11 +216,11 @@ class _Twin:
 def _play_on_twin(order: _Order, log: FrameLog | None) -> Sent:
     """Return the emission of a virtual board whose line takes its real time, without waiting."""
     board, times_s = order.board, order.times_s
-    line, takes_s = _line(board), board.frame_time_s
+    line, line_s = _line(board), board.frame_time_s
     sent, twin = Sent(due=len(times_s)), _Twin(board, log)
     twin.feed(board.start, 0.0)
     free_s = line.time_s(len(board.start))
-    zero = sent.zero_s = free_s + takes_s - (times_s[0] if len(times_s) else 0.0)
+    zero = sent.zero_s = free_s + line_s - (times_s[0] if len(times_s) else 0.0)
     schedule = Schedule(times_s, [bytes(board.frame_bytes)] * len(times_s), 0.0)
     now = free_s
     try:
@@ -229,7 +229,7 @@ def _play_on_twin(order: _Order, log: FrameLog | None) -> Sent:
             sent.due = choice.number + 1
             made = SentFrame(choice.number, due_s, now - zero, now - zero, order.make(now - zero, due_s))
             twin.feed(made.frame.data, now)
-            sent.add(made, takes_s)
+            sent.add(made, line_s)
             order.show_progress(made.made_s)
         now = max(now, zero + sent.end_s, zero + order.duration_s)
         sent.due, sent.end_s = len(times_s), order.duration_s
@@ -263,11 +263,11 @@ def _play_on_port(order: _Order, port: str, log: FrameLog | None, limits: SoundL
     finally:
         player.close()
     report = player.played
-    ended_s, takes_s = sent.end_s, order.board.frame_time_s
+    ended_s, line_s = sent.end_s, order.board.frame_time_s
     for which, on_line_s in report.on_line:
         number, made_s, frame = passed[which]
-        begun_s = on_line_s - sent.zero_s - takes_s
-        sent.add(SentFrame(number, order.times_s[number], made_s, begun_s, frame), takes_s)
+        begun_s = on_line_s - sent.zero_s - line_s
+        sent.add(SentFrame(number, order.times_s[number], made_s, begun_s, frame), line_s)
     sent.end_s = sent.end_s if sent.interrupted else max(sent.end_s, ended_s)
     late = len(passed) - len(sent.frames)
     sent.notes.append(f"sent by a player at {player.priority}; {late} computed frames were too late for the line")
@@ -284,10 +284,10 @@ def _make_and_give(order: _Order, player: Player, passed: list[tuple[int, float,
     passed: list to fill with the number of each frame among the due ones, when it was made [s], and the frame
     """
     times_s = order.times_s
-    takes_s, making = order.board.frame_time_s, _practised(order.make, times_s)
+    line_s, making = order.board.frame_time_s, _practised(order.make, times_s)
     first_s = times_s[0] if len(times_s) else 0.0
-    sent = Sent(zero_s=time.monotonic() + making.ahead_s + takes_s - first_s)
-    begins = [*(sent.zero_s + due_s - takes_s for due_s in times_s), np.inf]
+    sent = Sent(zero_s=time.monotonic() + making.ahead_s + line_s - first_s)
+    begins = [*(sent.zero_s + due_s - line_s for due_s in times_s), np.inf]
     with contextlib.suppress(KeyboardInterrupt), undisturbed() as priority:
         sent.interrupted = True
         rested_s = 0.0
@@ -304,7 +304,7 @@ def _make_and_give(order: _Order, player: Player, passed: list[tuple[int, float,
             done_s = time.monotonic()
             making.add(done_s - now)
             rested_s = done_s + REST * (done_s - now)
-        time.sleep(max(0.0, sent.zero_s + max(order.duration_s, first_s + takes_s) - time.monotonic()))
+        time.sleep(max(0.0, sent.zero_s + max(order.duration_s, first_s + line_s) - time.monotonic()))
         sent.interrupted, sent.end_s = False, order.duration_s
     sent.notes.append(f"frames computed at {priority}: {making}")
     return sent
@@ -351,14 +351,14 @@ def _emit_by_twin(board: Board, sent: Sent, duration_s: float) -> None:
     twin.stop(zero + max(sent.end_s, duration_s * (not sent.interrupted)), zero, sent)
 
 
-class Heard:
+class Drives:
     """The drive at any time of a trial, with its frame. times: start of each drive [s]"""
 
     def __init__(self, sent: Sent, board: Board) -> None:
         self.times: Float = np.array([one.time_s for one in sent.emitted])
         self.emitted, self.frames, self._board = sent.emitted, sent.frames, board
         self._begun: Float = np.array([one.begun_s for one in sent.frames])
-        self._takes_s = board.frame_time_s
+        self._line_s = board.frame_time_s
         self._played: dict[int, Complex] = {}
         self._of: dict[int, int] = {}
 
@@ -381,7 +381,7 @@ class Heard:
         for number in range(begun, max(begun - LAST_FRAMES, -1), -1):
             if np.allclose(self._plays(number), emitted.amplitudes, atol=1e-6):
                 return number
-        in_by = int(np.searchsorted(self._begun + self._takes_s, emitted.time_s + 1e-9, "right")) - 1
+        in_by = int(np.searchsorted(self._begun + self._line_s, emitted.time_s + 1e-9, "right")) - 1
         return min(in_by, begun)
 
     def _plays(self, number: int) -> Complex:
@@ -389,5 +389,5 @@ class Heard:
         if number not in self._played:
             frame = self.frames[number].frame
             board = self._board
-            self._played[number] = frame.wanted if board.exact else board.decode(board.start + frame.data)[-1]
+            self._played[number] = frame.target if board.exact else board.decode(board.start + frame.data)[-1]
         return self._played[number]

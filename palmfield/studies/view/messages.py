@@ -164,7 +164,7 @@ class Ready(NamedTuple):
     failed: str = ""
 
 
-class Ask(NamedTuple):
+class Request(NamedTuple):
     """Request for the next Moment, with motion and ARP or without, or for the next Replay."""
 
     what: Literal["moment", "full moment", "replay"]
@@ -195,4 +195,4 @@ class Pace(NamedTuple):
     most: float
 
 
-FromPage = Ready | Ask | Turn | SetKey | Press | Pace
+FromPage = Ready | Request | Turn | SetKey | Press | Pace

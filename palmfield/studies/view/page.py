@@ -34,7 +34,7 @@ PORT = 8080
 """First port that is tried if none is requested."""
 LIFT_m = 3e-4
 """Distance at which a skin is drawn above its body, so that the two do not flicker."""
-SEEN_m = 3e-3
+DISPLAYED_m = 3e-3
 """Displayed size of the largest motion at the default magnification [m]."""
 REPLAYS = ("motion, slowed down", "ARP, slowed down")
 STILL = ("RMS of the motion",)
@@ -95,12 +95,12 @@ class SkinNode:
         for part in "abc":
             data = self._file(np.zeros(len(pose[0]), np.float32), 0.0, np.full((len(pose[0]), 4), 200, np.uint8))
             self._nodes.append(server.scene.add_glb(f"/skins/{name}/{part}", data, visible=part == "a"))
-        self._seen = 0
+        self._visible = 0
 
     def show(self, displacement: Float32, magnify: float, colours: np.ndarray) -> None:
         """Show another state, which is visible two pictures later. displacement: along the outward normal [m], (S,)"""
-        last, self._seen = self._seen, (self._seen + 1) % len(self._nodes)
-        self._nodes[self._seen].visible = True
+        last, self._visible = self._visible, (self._visible + 1) % len(self._nodes)
+        self._nodes[self._visible].visible = True
         self._nodes[last].visible = False
         self._nodes[last].glb_data = self._file(displacement, magnify, colours)
 
@@ -143,7 +143,7 @@ class Page:
         self._scene: messages.SceneShown | None = None
         self._moment: messages.Moment | None = None
         self._replay: messages.Replay | None = None
-        self._asked_moment = self._asked_replay = -math.inf
+        self._moment_requested_s = self._replay_requested_s = -math.inf
         self._picture = 0
         self._skins: list[SkinNode] = []
         self._bodies: list[viser.MeshHandle] = []
@@ -152,11 +152,11 @@ class Page:
         self._slow = 1.0
         self._magnified = 1.0
         self._phases: np.ndarray | None = None
-        self._legend_told = ""
+        self._shown_legend = ""
 
     # -- to and from the simulation ------------------------------------------------------------------------------------
 
-    def _say(self, message: messages.FromPage) -> None:
+    def _send(self, message: messages.FromPage) -> None:
         with self._lock:
             self._talk.send(message)
 
@@ -171,7 +171,7 @@ class Page:
                     message: messages.FromSimulation = self._talk.recv()
                     if isinstance(message, messages.End):
                         return
-                    self._take(message)
+                    self._receive(message)
                     continue
                 if self._scene is not None and self._server.get_clients():
                     self._draw()
@@ -180,15 +180,15 @@ class Page:
                 return
             due = max(due + period_s, time.monotonic())
 
-    def _take(self, message: messages.FromSimulation) -> None:
+    def _receive(self, message: messages.FromSimulation) -> None:
         if isinstance(message, messages.SceneShown):
             self._begin(message)
         elif isinstance(message, messages.Moment):
-            self._asked_moment = -math.inf
-            self._take_moment(message)
+            self._moment_requested_s = -math.inf
+            self._receive_moment(message)
         elif isinstance(message, messages.Replay):
-            self._asked_replay = -math.inf
-            self._take_replay(message)
+            self._replay_requested_s = -math.inf
+            self._receive_replay(message)
         elif isinstance(message, messages.Notice):
             self._show_notice(message)
         elif isinstance(message, messages.Values):
@@ -208,7 +208,7 @@ class Page:
         """Show a scene, the first one or a rebuilt one."""
         first = self._scene is None
         self._scene, self._replay, self._moment = scene, None, None
-        self._asked_moment = self._asked_replay = -math.inf
+        self._moment_requested_s = self._replay_requested_s = -math.inf
         self._picture, self._phases = 0, None
         api = self._server.scene
         for skin in self._skins:
@@ -261,7 +261,7 @@ class Page:
         self._play = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self._on_press(self._play, self._play_pressed)
         self._on_press(
-            gui.add_button("Reset", icon=viser.Icon.PLAYER_SKIP_BACK), lambda: self._say(messages.Press("reset"))
+            gui.add_button("Reset", icon=viser.Icon.PLAYER_SKIP_BACK), lambda: self._send(messages.Press("reset"))
         )
         self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
         self._on_press(self._record, self._record_pressed)
@@ -275,10 +275,10 @@ class Page:
             gui.add_html(phase_legend())
         with gui.add_folder("Level above threshold"):
             self._meter = gui.add_html("")
-        self._pace.on_update(lambda event: self._say(messages.Pace(PACES[self._pace.value])) if event.client else None)
+        self._pace.on_update(lambda event: self._send(messages.Pace(PACES[self._pace.value])) if event.client else None)
         with gui.add_folder("Any key", expand_by_default=False):
             text = gui.add_text("INSTANCE.key=VALUE", "", hint="separate several by ;")
-            self._on_press(gui.add_button("Set"), lambda: self._say(messages.SetKey(text.value)))
+            self._on_press(gui.add_button("Set"), lambda: self._send(messages.SetKey(text.value)))
         self._add_sliders(scene)
 
     def _add_sliders(self, scene: messages.SceneShown) -> None:
@@ -305,7 +305,7 @@ class Page:
         handle = self._server.gui.add_slider(label, low, high, slider.step, slider.value)
         # Changes by the simulation have no client, and are not sent back
         handle.on_update(
-            lambda event: self._say(messages.Turn(slider.place, float(handle.value))) if event.client else None
+            lambda event: self._send(messages.Turn(slider.place, float(handle.value))) if event.client else None
         )
         self._sliders[slider.place] = handle
 
@@ -314,11 +314,11 @@ class Page:
         button.on_click(lambda _: do())
 
     def _play_pressed(self) -> None:
-        self._say(messages.Press("pause" if self._moment is not None and self._moment.playing else "play"))
+        self._send(messages.Press("pause" if self._moment is not None and self._moment.playing else "play"))
 
     def _record_pressed(self) -> None:
         going = self._moment is not None and self._moment.recording
-        self._say(messages.Press("stop recording" if going else "record"))
+        self._send(messages.Press("stop recording" if going else "record"))
 
     # -- messages from the simulation ----------------------------------------------------------------------------------
 
@@ -332,7 +332,7 @@ class Page:
             f"{html.escape(notice.text)}</div>"
         )
 
-    def _take_moment(self, moment: messages.Moment) -> None:
+    def _receive_moment(self, moment: messages.Moment) -> None:
         self._moment = moment
         if moment.pose is not None:
             for body, vertices in zip(self._bodies, moment.pose.bodies, strict=True):
@@ -355,7 +355,7 @@ class Page:
             self._record.label = label
             self._record.color = "red" if moment.recording else None
 
-    def _take_replay(self, replay: messages.Replay) -> None:
+    def _receive_replay(self, replay: messages.Replay) -> None:
         self._replay, self._picture = replay, 0
         rows = []
         for name, skin in zip(self._scene.skins if self._scene else (), replay.skins, strict=True):
@@ -370,13 +370,13 @@ class Page:
         """Draw one picture, and request the data for the next."""
         shown = self._shown.value
         now = time.monotonic()
-        if now - self._asked_moment > AGAIN_s:
-            self._asked_moment = now
-            self._say(messages.Ask("full moment" if shown in NOWS else "moment"))
+        if now - self._moment_requested_s > AGAIN_s:
+            self._moment_requested_s = now
+            self._send(messages.Request("full moment" if shown in NOWS else "moment"))
         through = self._replay is None or self._picture >= len(self._replay.times) * self._repeats()
-        if now - self._asked_replay > AGAIN_s and through:
-            self._asked_replay = now
-            self._say(messages.Ask("replay"))
+        if now - self._replay_requested_s > AGAIN_s and through:
+            self._replay_requested_s = now
+            self._send(messages.Request("replay"))
         states, scale, words = self._state(shown)
         if not states:
             return
@@ -388,9 +388,9 @@ class Page:
             for node, (displacement, values) in zip(self._skins, states, strict=True):
                 node.show(displacement, magnify, scale.colours(values))
         self._picture += 1
-        if scale.legend != self._legend_told:
-            self._legend_told = self._legend.content = scale.legend
-        self._say_how(words, magnify)
+        if scale.legend != self._shown_legend:
+            self._shown_legend = self._legend.content = scale.legend
+        self._describe(words, magnify)
 
     def _repeats(self) -> int:
         """Return the number of pictures for each state of a replay, so that a replay of few states is slow enough."""
@@ -435,7 +435,7 @@ class Page:
         top = max(_most(moment.displacement), self._largest() if self._replay else 0.0)
         return motion_scale("normal displacement, outward positive", top), moment.displacement
 
-    def _say_how(self, words: str, magnify: float) -> None:
+    def _describe(self, words: str, magnify: float) -> None:
         moment, scene = self._moment, self._scene
         if moment is None or scene is None:
             return
@@ -454,7 +454,7 @@ def _most(values: Any) -> float:
 
 def magnified(largest_m: float) -> float:
     """Return a round factor that magnifies the largest motion to about SEEN_m; 1 without motion."""
-    return 1.0 if largest_m < 1e-6 * NOTHING else rounded_up(0.4 * SEEN_m / largest_m)
+    return 1.0 if largest_m < 1e-6 * NOTHING else rounded_up(0.4 * DISPLAYED_m / largest_m)
 
 
 def _small(text: str) -> str:

@@ -76,8 +76,8 @@ def steps_watched(sim: Simulation) -> int:
     """Return the number of MuJoCo steps in a replay."""
     period, step_s = period_s(sim), sim.runtime.spec.timestep_s
     # One more sample, because a record of two periods includes its first and last sample
-    wanted = SHORTEST_s if period is None else PERIODS * period + sim.runtime.model.step_s
-    return max(1, ceil(min(max(wanted, SHORTEST_s), LONGEST_s) / step_s - 1e-6))
+    length_s = SHORTEST_s if period is None else PERIODS * period + sim.runtime.model.step_s
+    return max(1, ceil(min(max(length_s, SHORTEST_s), LONGEST_s) / step_s - 1e-6))
 
 
 def replay(sim: Simulation, blocks: list[Arrays], recorder: Recorder) -> Replay:

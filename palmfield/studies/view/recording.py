@@ -7,7 +7,7 @@ from typing import Any
 from palmfield.errors import OutputError
 from palmfield.outputs.store import Store, open_result, write_json
 from palmfield.outputs.summary import summary
-from palmfield.session.recorded_run import ending, known_before, recorder_of, result_attributes
+from palmfield.session.recorded_run import ending, initial_block, recorder_of, result_attributes
 from palmfield.session.simulation import Simulation
 from palmfield.studies.view.messages import Replay
 from palmfield.studies.view.periods import Blocks, replay, steps_watched
@@ -25,7 +25,7 @@ class Recording:
     def __init__(self, sim: Simulation, out: Path, scene: str, keys: Mapping[str, object]) -> None:
         """scene: file of the scene; keys: those that differ from the file. Raises OutputError as `Store` does."""
         self.out, self._sim = out, sim
-        self._store = Store(out, known_before(sim), result_attributes(sim))
+        self._store = Store(out, initial_block(sim), result_attributes(sim))
         self._blocks = Blocks(steps_watched(sim), self._store)
         self._recorder = recorder_of(sim, self._blocks)
         # Each recording has one set of keys, so that this command reproduces it

@@ -61,7 +61,7 @@ class SceneSource:
 
 
 class ShownScene:
-    """A scene that is stepped and changed. The caller passes messages of the page to `take` and calls `go_on`.
+    """A scene that is stepped and changed. The caller passes messages of the page to `receive` and calls `go_on`.
 
     send: function that gets the messages for the page; sim: the present simulation; keys: those changed in the scene
     """
@@ -79,7 +79,7 @@ class ShownScene:
         self._turns: dict[messages.Place, float] = {}
         self._turned_at = 0.0
         self._set: dict[str, object] = {}
-        self._asked: set[str] = set()
+        self._requested: set[str] = set()
         self._periods: Periods | None = None
         self._recording: Recording | None = None
         self.sim = source.open(keys)
@@ -88,7 +88,7 @@ class ShownScene:
         self._attach()
 
     def _attach(self) -> None:
-        self._sight = MomentReader(self.sim)
+        self._reader = MomentReader(self.sim)
         listed = (*stimulus_sliders(self.sim.runtime.spec.stimuli), *self._hands.sliders)
         # An existing slider keeps its range, which was computed from its first value
         self.sliders = {one.place: self.sliders.get(one.place, one) for one in listed}
@@ -110,7 +110,7 @@ class ShownScene:
         """Send the scene to the page, once it is available and after each rebuild."""
         no_pose = "" if self._hands.sliders else NO_HAND
         self.send(
-            scene_shown(self.sim, str(self.source.scene), self._sight.pose(), tuple(self.sliders.values()), no_pose)
+            scene_shown(self.sim, str(self.source.scene), self._reader.pose(), tuple(self.sliders.values()), no_pose)
         )
         self.send(self._values())
 
@@ -121,17 +121,17 @@ class ShownScene:
 
     # -- messages of the page ------------------------------------------------------------------------------------------
 
-    def take(self, message: messages.FromPage) -> None:
+    def receive(self, message: messages.FromPage) -> None:
         """Process a request of the page; errors are shown in the page."""
-        if isinstance(message, messages.Ask):
-            self._asked.add(message.what)
+        if isinstance(message, messages.Request):
+            self._requested.add(message.what)
         elif isinstance(message, messages.Turn):
             self._turn(message)
         elif isinstance(message, messages.Pace):
             self.most_pace = message.most if message.most > 0.0 else 1.0
             self._begin_clock()
         elif isinstance(message, messages.SetKey):
-            self._guarded(lambda: self._take_text(message.text))
+            self._guarded(lambda: self._set_text(message.text))
         elif isinstance(message, messages.Press):
             self._guarded(lambda: self._press(message.what))
 
@@ -144,7 +144,7 @@ class ShownScene:
         self._turns[turn.place] = turn.value
         self._turned_at = time.monotonic()
 
-    def _take_text(self, text: str) -> None:
+    def _set_text(self, text: str) -> None:
         keys: dict[str, object] = {}
         # Keys that depend on each other must be set together
         for part in NEXT_KEY.split(text):
@@ -203,7 +203,7 @@ class ShownScene:
             self._waited = self._waited or wait_s > 0.0
             if wait_s <= 0.0:
                 self.playing = self._guarded(self._step)
-        if self._asked:
+        if self._requested:
             self._answer()
         return min(max(wait_s, 0.0), IDLE_s)
 
@@ -218,7 +218,7 @@ class ShownScene:
         return ahead
 
     def _step(self) -> None:
-        if self._recording is None and self._periods is None and "replay" in self._asked and self._may_watch():
+        if self._recording is None and self._periods is None and "replay" in self._requested and self._may_watch():
             self._periods = Periods(self.sim)
         self.sim.step()
         self._unwatched += 1
@@ -228,7 +228,7 @@ class ShownScene:
         elif self._periods is not None and not self._guarded(self._watch):
             # A failed report must not stop the scene
             self._stop_watching()
-            self._seen()
+            self._replay_sent()
         now = time.monotonic()
         if now - self._measured[0] > SPEED_OVER_s:
             self._speed = (self.sim.time - self._measured[1]) / (now - self._measured[0])
@@ -236,15 +236,15 @@ class ShownScene:
 
     def _watch(self) -> None:
         assert self._periods is not None
-        seen = self._periods.step()
-        if seen is not None:
+        periods = self._periods.step()
+        if periods is not None:
             self._periods = None
-            self._seen()
-            self.send(seen)
+            self._replay_sent()
+            self.send(periods)
 
-    def _seen(self) -> None:
+    def _replay_sent(self) -> None:
         self._unwatched, self._waited = 0, False
-        self._asked.discard("replay")
+        self._requested.discard("replay")
 
     @property
     def watching(self) -> bool:
@@ -256,25 +256,25 @@ class ShownScene:
         return self._waited or self._unwatched >= UNWATCHED * steps_watched(self.sim)
 
     def _answer(self) -> None:
-        moment = self._asked & {"moment", "full moment"}
+        moment = self._requested & {"moment", "full moment"}
         if moment:
-            self._asked -= moment
+            self._requested -= moment
             folder = "" if self._recording is None else str(self._recording.out)
             speed = self._speed if self.playing else 0.0
             full = "full moment" in moment
             self._guarded(
                 lambda: self.send(
-                    self._sight.moment(full=full, speed=speed, playing=self.playing, recording=folder)
+                    self._reader.moment(full=full, speed=speed, playing=self.playing, recording=folder)
                 )
             )  # fmt: skip
-        if "replay" in self._asked and self._recording is not None and not self._guarded(self._replay_recorded):
-            self._asked.discard("replay")
+        if "replay" in self._requested and self._recording is not None and not self._guarded(self._replay_recorded):
+            self._requested.discard("replay")
 
     def _replay_recorded(self) -> None:
-        seen = None if self._recording is None else self._recording.last_periods()
-        if seen is not None:
-            self._asked.discard("replay")
-            self.send(seen)
+        periods = None if self._recording is None else self._recording.last_periods()
+        if periods is not None:
+            self._requested.discard("replay")
+            self.send(periods)
 
     def _stop_watching(self) -> None:
         if self._periods is not None:
@@ -391,7 +391,7 @@ def view(
     unsent: list[messages.FromSimulation] = []
     folder = Path("out") / f"view_{path.stem}" if out is None else Path(out)
     live = ShownScene(SceneSource(path, device, accuracy, board), changed, folder, unsent.append)
-    live.take(messages.Pace(pace))
+    live.receive(messages.Pace(pace))
     on_gpu = live.sim.runtime.spec.device != "cpu"
     rate = rate_Hz or (GPU_RATE_Hz if on_gpu else RATE_Hz)
     token = "" if is_loopback(host) else secrets.token_urlsafe(24)
@@ -432,5 +432,5 @@ def run_for(live: ShownScene, link: Link, end: Ending) -> None:
     wait_s = 0.0
     while not (link.gone or end.requested):
         for message in link.received(wait_s):
-            live.take(message)
+            live.receive(message)
         wait_s = live.go_on()

@@ -101,7 +101,7 @@ def test_a_tracker_that_stands_elsewhere_is_placed_by_its_file(view, followed, t
 
 def test_frames_are_silent_while_the_hand_is_lost(view, followed):
     result = followed(straight(view, 1.5), tracker=Tracker(0.0, 0.0, ahead_s=0.0), duration_s=2.4)
-    silent = [frame for frame in result.sent.frames if not frame.frame.wanted.any()]
+    silent = [frame for frame in result.sent.frames if not frame.frame.target.any()]
     assert silent and len(silent) < len(result.sent.frames)
     assert silent[0].due_s > 0.1 and any("frames were silent" in note for note in result.numbers.notes)
     assert not BOARDS["sonicsurface"].decode(silent[0].frame.data)[-1].any()

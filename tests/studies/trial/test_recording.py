@@ -74,7 +74,7 @@ def test_a_recording_of_a_trial_is_recognised_by_the_next(moving_scene, tmp_path
     tracker = Tracker(0.0, 0.0, ahead_s=0.0)
     first = trial(path, tracker=tracker, skin=False)
     array = palmfield.load(path, device="cpu").runtime.model.arrays
-    values = [abs(array.pressure64(place[None], one.frame.wanted)[0]) for one in first.sent.frames]
+    values = [abs(array.pressure64(place[None], one.frame.target)[0]) for one in first.sent.frames]
     rows = "".join(f"{one.due_s + late_s},{share * p}\n" for one, p in zip(first.sent.frames, values, strict=True))
     text = f"# quantity: pressure\n# unit: Pa\n# place_m: {place[0]} {place[1]} {place[2]}\nt,value\n{rows}"
     recording = read_recording(written(tmp_path / "mic.csv", text))

@@ -103,7 +103,7 @@ def test_pressure_lost_by_a_frozen_focus_is_that_of_a_sum_of_pistons(moving_scen
     for one in result.moments[::25]:
         true = START_m + SPEED_m_s * one.time_s
         wanted, late = abs(pistons(true, true, array, air).sum()), abs(pistons(true, START_m, array, air).sum())
-        assert one.pressures.wanted == pytest.approx(wanted, rel=1e-4)
+        assert one.pressures.target == pytest.approx(wanted, rel=1e-4)
         assert one.pressures.late == pytest.approx(late, rel=1e-3, abs=1e-4 * wanted)
     assert result.numbers.kept_late.least < 0.2
     assert result.numbers.kept_rounded.least == pytest.approx(1.0, abs=1e-9)
@@ -139,7 +139,7 @@ def test_unknown_delays_cost_what_statistics_say(moving_scene, tmp_path):
     for one in result.moments[5::10]:
         each = pistons(one.true, one.believed, array, air)
         expected = abs((np.exp(1j * phases) * enabled) @ each) / abs(each.sum())
-        assert one.pressures.heard / one.pressures.rounded == pytest.approx(expected, abs=4e-3)
+        assert one.pressures.played / one.pressures.rounded == pytest.approx(expected, abs=4e-3)
 
 
 def test_half_of_all_transducers_turned_make_no_focus(moving_scene, tmp_path):
@@ -212,11 +212,11 @@ def test_sound_rises_and_falls_within_the_drivers_ramp(moving_scene, tmp_path):
 def test_ctrl_c_keeps_what_there_is(moving_scene, tmp_path, monkeypatch):
     asked, at = [], PoseEstimator.at
 
-    def cut(self, now_s, heard_s):
+    def cut(self, now_s, sound_s):
         asked.append(now_s)
         if len(asked) == 8:
             raise KeyboardInterrupt
-        return at(self, now_s, heard_s)
+        return at(self, now_s, sound_s)
 
     monkeypatch.setattr(PoseEstimator, "at", cut)
     result = trial(moving_scene(), board="sonicsurface", skin=False, out=tmp_path / "out")

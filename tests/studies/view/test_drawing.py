@@ -71,7 +71,7 @@ def test_phases_go_round_and_what_is_silent_is_grey():
 
 def test_the_largest_motion_is_seen_as_some_millimetres():
     for largest in (3e-8, 7e-7, 1.1e-5, 4e-4):
-        assert 1e-3 <= largest * page.magnified(largest) <= page.SEEN_m
+        assert 1e-3 <= largest * page.magnified(largest) <= page.DISPLAYED_m
     assert page.magnified(0.0) == 1.0
 
 

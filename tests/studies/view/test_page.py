@@ -35,7 +35,7 @@ def page(module_scene, tmp_path_factory):
     """A running view of a small scene: the scene and the page's address; the scene is stepped in a thread."""
     sent = []
     live = ShownScene(SceneSource(module_scene(), "cpu", None, None), {}, tmp_path_factory.mktemp("out"), sent.append)
-    live.take(Pace(math.inf))
+    live.receive(Pace(math.inf))
     end = Ending()
     with Link(Address("127.0.0.1", None, "", 20.0)) as link:
         live.send = link.send
@@ -101,9 +101,9 @@ def test_a_page_that_is_left_asks_for_nothing(page):
     with PageClient(address) as client:
         client.until(is_picture)
     time.sleep(1.0)
-    live._asked.clear()
+    live._requested.clear()
     time.sleep(0.5)
-    assert not live._asked
+    assert not live._requested
 
 
 def test_a_strangers_script_is_not_let_in(page):

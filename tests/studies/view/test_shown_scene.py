@@ -13,10 +13,21 @@ from palmfield.outputs.pictures.draw import draw_pictures
 from palmfield.outputs.store import MemoryStore, open_result
 from palmfield.perception import ALL_OBSERVERS
 from palmfield.session.changed_stimuli import change_stimuli
-from palmfield.session.recorded_run import known_before, recorder_of, recover, result_attributes
+from palmfield.session.recorded_run import initial_block, recorder_of, recover, result_attributes
 from palmfield.session.worlds import stimulus_texts
 from palmfield.studies.view.hands import Offset
-from palmfield.studies.view.messages import Ask, Moment, Notice, Pace, Press, Replay, SceneShown, SetKey, Turn, Values
+from palmfield.studies.view.messages import (
+    Moment,
+    Notice,
+    Pace,
+    Press,
+    Replay,
+    Request,
+    SceneShown,
+    SetKey,
+    Turn,
+    Values,
+)
 from palmfield.studies.view.run import QUIET_s, SceneSource, ShownScene
 
 pytestmark = pytest.mark.usefixtures("kept_operators")
@@ -32,7 +43,7 @@ class Shown:
     def __init__(self, path, out, **keys):
         self.sent = []
         self.scene = ShownScene(SceneSource(path, "cpu", None, None), keys, out, self.sent.append)
-        self.scene.take(Pace(math.inf))
+        self.scene.receive(Pace(math.inf))
         self.scene.show()
 
     def go_on(self, steps=1):
@@ -42,7 +53,7 @@ class Shown:
     def change(self, *messages):
         """Send messages, wait until sliders count as left alone, and take them."""
         for message in messages:
-            self.scene.take(message)
+            self.scene.receive(message)
         self.scene._turned_at -= QUIET_s
         self.scene.go_on()
 
@@ -55,7 +66,7 @@ class Shown:
 
 def recorded(sim, steps):
     """What a run of so many steps records."""
-    store = MemoryStore(known_before(sim), result_attributes(sim))
+    store = MemoryStore(initial_block(sim), result_attributes(sim))
     recorder = recorder_of(sim, store)
     recorder.start()
     for _ in range(steps):
@@ -84,8 +95,8 @@ def modal(module_scene, tmp_path_factory):
 
 def test_a_watched_scene_does_what_it_does_alone(shown, path):
     for _ in range(3):
-        shown.scene.take(Ask("replay"))
-        shown.scene.take(Ask("full moment"))
+        shown.scene.receive(Request("replay"))
+        shown.scene.receive(Request("full moment"))
         shown.go_on(12)
     assert len(shown.all(Replay)) >= 1
     alone = palmfield.Simulation(path, device="cpu")
@@ -97,7 +108,7 @@ def test_a_watched_scene_does_what_it_does_alone(shown, path):
 def test_a_moment_is_the_scene_now_and_comes_only_when_asked_for(shown):
     shown.go_on(5)
     assert not shown.all(Moment)
-    shown.scene.take(Ask("full moment"))
+    shown.scene.receive(Request("full moment"))
     shown.go_on()
     moment, sim = shown.last(Moment), shown.scene.sim
     assert moment.time_s == sim.time and moment.solvers == (sim.skin().solver,)
@@ -105,7 +116,7 @@ def test_a_moment_is_the_scene_now_and_comes_only_when_asked_for(shown):
     np.testing.assert_allclose(moment.displacement[0], sim.skin().normal_displacement, rtol=1e-6)
     np.testing.assert_allclose(moment.arp[0], sim.skin().arp, rtol=1e-6)
     np.testing.assert_allclose(moment.foci, [[0.0, 0.0, 0.12]], atol=1e-9)
-    shown.scene.take(Ask("moment"))
+    shown.scene.receive(Request("moment"))
     shown.go_on()
     assert shown.last(Moment).displacement == ()
     assert len(shown.all(Moment)) == 2
@@ -125,7 +136,7 @@ def test_what_is_shown_at_first_lies_where_the_scene_has_it(shown):
 def test_a_replay_is_the_recorded_motion_with_the_levels_of_a_run(shown, path):
     """Held against a record of the same steps by itself, as a run makes it."""
     shown.go_on(4)
-    shown.scene.take(Ask("replay"))
+    shown.scene.receive(Request("replay"))
     shown.go_on(11)
     replay = shown.last(Replay)
     assert replay.length_s == pytest.approx(5e-3)
@@ -163,7 +174,7 @@ def test_a_turned_slider_rebuilds_what_was_made_for_one_sound(shown):
 
 def test_turns_of_one_drag_are_taken_together(shown):
     for value in (1.0, 2.0, 3.0, 4.0):
-        shown.scene.take(Turn(FOCUS_X, value))
+        shown.scene.receive(Turn(FOCUS_X, value))
         shown.go_on()
     assert not shown.all(Notice)
     shown.change(Turn(FOCUS_X, 5.0), Turn(DEPTH, 0.5))
@@ -222,23 +233,23 @@ def test_keys_that_need_one_another_are_set_at_once_and_get_their_sliders(shown)
 
 def test_play_pause_and_reset(shown):
     shown.go_on(4)
-    shown.scene.take(Press("pause"))
+    shown.scene.receive(Press("pause"))
     paused = shown.scene.sim.time
     shown.go_on(3)
     assert shown.scene.sim.time == paused
-    shown.scene.take(Ask("moment"))
+    shown.scene.receive(Request("moment"))
     shown.go_on()
     assert not shown.last(Moment).playing and shown.last(Moment).speed == 0.0
-    shown.scene.take(Press("reset"))
+    shown.scene.receive(Press("reset"))
     assert shown.scene.sim.time == 0.0 and not shown.scene.sim.skin().displacement.any()
-    shown.scene.take(Press("play"))
+    shown.scene.receive(Press("play"))
     shown.go_on(2)
     assert shown.scene.sim.time > 0.0
 
 
 def test_a_pace_is_kept(shown):
     """At a hundredth of real time a step of 1 ms is due every 100 ms."""
-    shown.scene.take(Pace(0.01))
+    shown.scene.receive(Pace(0.01))
     begun = shown.scene.sim.time
     shown.go_on(50)
     assert shown.scene.sim.time - begun < 0.01
@@ -288,12 +299,12 @@ def test_modes_are_rebuilt_for_a_sound_that_asks_for_a_finer_mesh(modal):
 def test_a_recording_is_a_run_of_its_keys(shown, path):
     out = shown.scene.out
     shown.change(SetKey("stimulus.am_frequency_Hz=100"))
-    shown.scene.take(Press("reset"))
-    shown.scene.take(Press("record"))
-    shown.scene.take(Ask("replay"))
+    shown.scene.receive(Press("reset"))
+    shown.scene.receive(Press("record"))
+    shown.scene.receive(Request("replay"))
     shown.go_on(25)
     assert len(shown.all(Replay)) == 1
-    shown.scene.take(Press("stop recording"))
+    shown.scene.receive(Press("stop recording"))
     folder = out / "recording-001"
     told = json.loads((folder / "keys.json").read_text())
     assert told["keys"] == {"stimulus.am_frequency_Hz": "100"} and told["begun_s"] == 0.0
@@ -310,11 +321,11 @@ def test_a_recording_is_a_run_of_its_keys(shown, path):
 def test_a_change_ends_a_recording_and_begins_the_next(modal):
     scene = modal.scene
     scene._reset()
-    scene.take(Press("record"))
+    scene.receive(Press("record"))
     modal.go_on(3)
     modal.change(Turn(DEPTH, 0.7))
     modal.go_on(3)
-    scene.take(Press("stop recording"))
+    scene.receive(Press("stop recording"))
     first, second = sorted(scene.out.glob("recording-*"))[-2:]
     depths = []
     for folder in (first, second):
@@ -325,7 +336,7 @@ def test_a_change_ends_a_recording_and_begins_the_next(modal):
 
 
 def test_what_a_killed_view_has_recorded_is_recovered(shown, tmp_path):
-    shown.scene.take(Press("record"))
+    shown.scene.receive(Press("record"))
     shown.go_on(5)
     recording = shown.scene._recording
     recording._store._flush()
@@ -338,7 +349,7 @@ def test_what_a_killed_view_has_recorded_is_recovered(shown, tmp_path):
 def test_a_folder_that_cannot_be_written_is_told(shown, tmp_path):
     shown.scene.out = tmp_path / "file"
     shown.scene.out.write_text("")
-    shown.scene.take(Press("record"))
+    shown.scene.receive(Press("record"))
     assert shown.last(Notice).kind == "error"
     shown.go_on()
     assert shown.scene.playing
@@ -376,11 +387,11 @@ def test_a_scripted_body_is_shifted_from_where_its_script_has_it(small_scene, tm
     place = ("pose", "script.shift", 2)
     assert view.last(Values).values[place] == 0.0
     view.go_on(2)
-    view.scene.take(Turn(place, 15.0))
+    view.scene.receive(Turn(place, 15.0))
     view.go_on(2)
     body = view.scene.sim.model.body("pad").id
     assert view.scene.sim.data.xpos[body][2] == pytest.approx(0.135)
-    view.scene.take(Ask("moment"))
+    view.scene.receive(Request("moment"))
     view.go_on()
     assert view.last(Moment).pose.skins[0][0][:, 2].mean() == pytest.approx(0.135, abs=1e-4)
     # A rebuilt scene keeps what was set
@@ -388,6 +399,6 @@ def test_a_scripted_body_is_shifted_from_where_its_script_has_it(small_scene, tm
     view.go_on(2)
     assert view.scene.sim.data.xpos[view.scene.sim.model.body("pad").id][2] == pytest.approx(0.135)
     # Into the array: refused in words, and it pauses where it stands
-    view.scene.take(Turn(place, -125.0))
+    view.scene.receive(Turn(place, -125.0))
     view.go_on(3)
     assert view.last(Notice).kind == "error" and not view.scene.playing
