@@ -49,7 +49,7 @@ Extent = Annotated[float, Field(gt=0.0, le=2.0 * FARTHEST_FOCUS_M)]
 USUAL_FOCUS_M = 0.2
 MOVING = ("path_rate_Hz", "path_speed_m_s", "path_end", "path_points")
 STEPS = 1e-6
-"""Largest deviation of a path's width from a whole number of steps, as a share of a step."""
+"""Largest deviation of the width of a path from a whole number of steps, as a share of a step."""
 PATH_KEYS = (*MOVING, *{key for keys in (*NEEDED.values(), *OPTIONAL.values()) for key in keys})
 
 

@@ -232,7 +232,7 @@ class ArrayDrive:
     # -- one focus ---------------------------------------------------------------------------------------------------
 
     def _rays(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:
-        """Return the distance [m] from each transducer to a point, and the point's height over its face [m].
+        """Return the distance [m] from each transducer to a point, and the height of the point over its face [m].
 
         x, y, z: of the points [m], numbers, or shapes that broadcast to (k, n) with the transducers
         """

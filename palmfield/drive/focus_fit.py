@@ -81,7 +81,9 @@ def _grid(low: Float, high: Float, counts: tuple[int, int, int]) -> Float:
 
 @lru_cache(maxsize=2)
 def _steering(places: bytes, wavenumber: float) -> tuple[Float, NDArray[np.complex64]]:
-    """Return the first grid, shape (n, 3), and the phase of each transducer's sound on its way there, shape (n, m)."""
+    """Return the first grid, shape (n, 3), and the phase of the sound of each transducer on its way there, shape (n,
+    m).
+    """
     whence = np.frombuffer(places).reshape(-1, 3)
     points = _grid(*_region(whence), COARSE)
     turns = np.empty((len(points), len(whence)), np.complex64)

@@ -36,11 +36,11 @@ class LogHead:
     """Description of the board of a log.
 
     keys: of palmfield.driver besides `board`; array: name of the layout, csv for places from a file; limits:
-    SAFETY_KEYS of palmfield.driver that are set; p0_Pa_m, p0_high_Pa_m: of the array's transducers, and the upper end
-    of its range, None for the layout's
+    SAFETY_KEYS of palmfield.driver that are set; p0_Pa_m, p0_high_Pa_m: of the transducers of the array, and the upper
+    end of its range, None for the layout's
     Of the first array, None for the layout's: turns_rad, phases that transducers add to their command (polarity,
     delays) [rad], shape (n,); positions_m, in the array frame, shape (n, 3)
-    address: of all transducers, their places in the board's byte order; None for the layout's order
+    address: of all transducers, their places in the byte order of the board; None for the order of the layout
     """
 
     board: str
@@ -56,7 +56,7 @@ class LogHead:
     address: Sequence[int] | None = None
 
     def measured(self, array: Array, places: Sequence[int] = ()) -> "LogHead":
-        """Return the head with calibration data of the first array's transducers; places: as of `Board`."""
+        """Return the head with calibration data of the transducers of the first array; places: as of `Board`."""
         plain, own = self._layout, list(places) or list(range(self.transducers))
         turns = None if array.gain is None else np.angle(array.gain).round(6).tolist()
         same = plain is not None and np.array_equal(array.positions, plain.positions)
@@ -66,12 +66,12 @@ class LogHead:
 
     @property
     def _layout(self) -> Array | None:
-        """The layout's array, None if places come from a file."""
+        """The array of the layout, None if places come from a file."""
         return None if self.array == "csv" else layout(self.array)
 
     @property
     def _address(self) -> list[int]:
-        """Addresses of all transducers in the layout's order."""
+        """Addresses of all transducers in the order of the layout."""
         plain = self._layout
         if plain is None or plain.address is None or len(plain) != self.transducers:
             return list(range(self.transducers))
@@ -79,7 +79,7 @@ class LogHead:
 
     @property
     def elements(self) -> tuple[Float, Complex]:
-        """Places of the first array's transducers [m], shape (n, 3), and the phase factor of each, shape (n,)."""
+        """Places of the transducers of the first array [m], shape (n, 3), and the phase factor of each, shape (n,)."""
         plain = self._layout
         if self.positions_m is not None:
             places = np.array(self.positions_m, float)

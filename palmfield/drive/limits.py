@@ -12,7 +12,8 @@ from palmfield.errors import DeviceError
 
 @dataclass(frozen=True)
 class SoundLimits:
-    """ramp_s: time in which sound rises and falls, 0 for none; on_time_s: longest duration of sound, None for any
+    """Limits of a play. ramp_s: time in which sound rises and falls, 0 for none; on_time_s: longest duration of sound,
+    None for any
     duty: largest share of sound in any interval of WINDOW_S
     """
 

@@ -12,11 +12,11 @@ from palmfield.types import Float
 
 KEYS = "focus_m", "level", "position_m", "quaternion"
 UNIT = 0.01
-"""Allowed deviation of a quaternion's length from 1."""
+"""Allowed deviation of the length of a quaternion from 1."""
 
 
 class LiveFocus(NamedTuple):
-    """place: array frame [m], shape (3,); level: of its sound, 0..1"""
+    """A focus. place: array frame [m], shape (3,); level: of its sound, 0..1"""
 
     place: Float
     level: float

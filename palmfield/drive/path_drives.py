@@ -161,8 +161,8 @@ class PathDrives:
 def foci_made(totals: Float, levels: Float, quiet: Any, target: Any) -> NDArray[np.bool_]:
     """Return for each world whether the transducers can produce all active foci, shape (w,).
 
-    totals: of PathMemory, as numbers, shape (w, f, 3), the focus at the step's beginning last; levels: of the pressure
-    at the others, (w, f - 1); quiet: whether the last one is silent, (w,); target: the first of `aim_of`, (w,)
+    totals: of PathMemory, as numbers, shape (w, f, 3), the focus at the beginning of the step last; levels: of the
+    pressure at the others, (w, f - 1); quiet: whether the last one is silent, (w,); target: the first of `aim_of`, (w,)
     """
     real, imaginary, facing = totals.transpose(2, 0, 1)
     good = (facing > 0.0) & (real * real + imaginary * imaginary >= np.asarray(target)[:, None])

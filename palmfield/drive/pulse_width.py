@@ -36,7 +36,7 @@ def widths(amplitude: ArrayLike, ticks: int, exponent: float = 2.0) -> Int:
 def edge_phase(duty: ArrayLike, fixed: Edge) -> Float:
     """Return the phase of the first harmonic [rad] (later is positive) relative to a pulse about time 0.
 
-    With the leading edge at time 0 the pulse's middle is pi d later; with the trailing edge, pi d earlier.
+    With the leading edge at time 0 the middle of the pulse is pi d later; with the trailing edge, pi d earlier.
     So the phase of a drive with a fixed edge changes with its amplitude.
     """
     return 2.0 * np.pi * EDGE_TURNS[fixed] * np.asarray(duty, float)

@@ -45,10 +45,10 @@ def twin_trap(array: Array, air: Air, point: ArrayLike, azimuth_rad: float = 0.0
 
 
 def vortex(array: Array, air: Air, point: ArrayLike, order: int = 1) -> Complex:
-    """Focus whose phase winds `order` times round the beam's axis: a dark core in a ring of sound.
+    """Focus whose phase winds `order` times round the axis of the beam: a dark core in a ring of sound.
 
     A positive order is later sound at larger azimuth, counted from x towards y. High orders on a coarse board alias:
-    within a few millimetres of the axis other orders, left by the board's square outline, are louder.
+    within a few millimetres of the axis other orders, left by the square outline of the board, are louder.
 
     point: the focus [m], array frame, shape (3,)
     Returns complex amplitudes, shape (len(array),).

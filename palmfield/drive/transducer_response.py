@@ -162,7 +162,7 @@ def commanded_drive(
 
 
 def _points_and_levels(stimulus: StimulusConfig, times: Float, lags: Float) -> tuple[Float, Float]:
-    """Return the stimulus's points and the pressure's levels at times less lags, shapes (k, d, 3) and (k, d)."""
+    """Return the points of the stimulus and the pressure's levels at times less lags, shapes (k, d, 3) and (k, d)."""
     when = times[:, None] - lags
     points, factors = frames_at(stimulus, when.reshape(-1))
     return points.reshape(*when.shape, 3), np.sqrt(factors, out=factors).reshape(when.shape)

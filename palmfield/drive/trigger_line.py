@@ -12,7 +12,7 @@ from palmfield.errors import DeviceError
 class TriggerLine:
     """Raises a line at a moment and lowers it again, or sends a byte at this moment.
 
-    late_s: delay of the last one, by the host's clock [s]
+    late_s: delay of the last one, by the clock of the host [s]
     """
 
     def __init__(

@@ -99,7 +99,7 @@ class SceneRuntime:
     ) -> None:
         """Become one of several worlds, with the state outside mjData; drops all stored results.
 
-        model: of the same bodies and arrays, with the world's own stimuli. state: the part of the world, as views.
+        model: of the same bodies and arrays, with the stimuli of the world. state: the part of the world, as views.
         frames: output arrays of the world frames, positions [m] and matrices, shapes (frames, 3) and (frames, 9).
         beside: the runtime of another world with sensors at the same places; None for the first.
         """
@@ -246,7 +246,9 @@ class SceneRuntime:
 
     @cached_property
     def feedback(self) -> str:
-        """Return why steps are not gathered: the sound's force moves a body, or sensors may be read; else empty."""
+        """Return why steps are not gathered: the force of the sound moves a body, or sensors may be read; else
+        empty.
+        """
         model = self.view.model
         if serves(self.model):
             return "a graph on a GPU computes each separately"
@@ -327,7 +329,7 @@ class SceneRuntime:
     def exchange(self, model: HapticModel) -> None:
         """Continue with another model of the same arrays, bodies and skins; the state must be reset.
 
-        The steppers of the skins stay too, so they must be valid for the loads of the other model's stimuli.
+        The steppers of the skins stay too, so they must be valid for the loads of the stimuli of the other model.
         """
         self.model, self.spec, self.work = model, model.spec, Workspace(model)
         self.__dict__.pop("steps", None)
@@ -359,7 +361,7 @@ class SceneRuntime:
                 check_site(self.model.skins[skin], *self._site(skin, sensor))
 
     def _site(self, skin: int, sensor: PluginSensor) -> tuple[Float, str]:
-        """Return a sensor's site on the resting body (body frame [m], shape (3,)), and its name in messages."""
+        """Return the site of a sensor on the resting body (body frame [m], shape (3,)), and its name in messages."""
         bound, part = self.binding.skins[skin], self.model.skins[skin]
         element = f"{part.spec.element}: sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)

@@ -108,8 +108,9 @@ def articulate(preset: HandPreset) -> ArticulatedHand:
 
     Angles are anatomical: 0 is the flat hand with straight fingers. Flexion is positive to the palm. Abduction of a
     finger is relative to the preset and positive away from the middle finger, for the middle finger to the little one.
-    Both angles of the thumb's saddle joint are relative to the preset; its abduction is positive out of the palm. Wrist
-    deviation is positive to the little finger. Two joints at one point act as a universal joint, abduction outside.
+    Both angles of the saddle joint of the thumb are relative to the preset; its abduction is positive out of the palm.
+    Wrist deviation is positive to the little finger. Two joints at one point act as a universal joint, abduction
+    outside.
     """
     skeleton = centred_skeleton(preset)
     ulnar = np.array([1.0 if preset.side == "right" else -1.0, 0.0, 0.0])
@@ -179,7 +180,7 @@ def checked_angles(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> Fl
 
 
 def bone_poses(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> tuple[Float, Float]:
-    """Return origins [m], shape (bones, 3), and rotations, shape (bones, 3, 3), of all bones in the root's frame.
+    """Return origins [m], shape (bones, 3), and rotations, shape (bones, 3, 3), of all bones in the frame of the root.
 
     The root (forearm) does not move. Raises SceneError as `checked_angles`.
     """

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class Obstacle(NamedTuple):
-    """Geoms of a body that cast shadows, in that body's frame.
+    """Geoms of a body that cast shadows, in the frame of that body.
 
     geoms: kind, size [m] as in MJCF, position [m] and quaternion (w, x, y, z) of each geom. Kind "mesh" has vertices
         [m] and faces instead of the size.

@@ -77,7 +77,7 @@ class _Reader:
         return read_bytes(place)
 
     def triangles(self) -> int:
-        """Return the number of faces of the scene's meshes, from the counts of the accessors."""
+        """Return the number of faces of the meshes of the scene, from the counts of the accessors."""
         number = 0
         for i in self._in_scene():
             if self.scene.nodes[i].mesh is not None:

@@ -27,7 +27,7 @@ SKIN_POINTS, WRIST_SHARE = 8, 0.05
 
 
 def words(name: str) -> list[str]:
-    """Split a joint's name into words and numbers in lower case: "RightHandIndex1" gives right, hand, index, 1."""
+    """Split the name of a joint into words and numbers in lower case: "RightHandIndex1" gives right, hand, index, 1."""
     separated = re.sub(r"([a-z])([A-Z])|([A-Z])([A-Z][a-z])", r"\1\3 \2\4", name)
     return re.findall(r"[a-z]+|\d+", separated.lower())
 

@@ -178,7 +178,7 @@ def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, 
 
 
 def _least_cosine(direction: Float, faces: Int, unit: Float) -> Float:
-    """Return the smallest cosine of each vertex's direction to the normals of the faces around it, shape (n,)."""
+    """Return the smallest cosine of the direction of each vertex to the normals of the faces around it, shape (n,)."""
     worst = np.full(len(direction), np.inf)
     np.minimum.at(worst, faces.ravel(), np.einsum("ijk,ik->ij", direction[faces], unit).ravel())
     return worst

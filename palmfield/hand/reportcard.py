@@ -44,7 +44,7 @@ LAYER_FACTS = {
     "least_quality": "quality_min",
     "volume_share": "volume_share",
 }
-"""Names of a layer's values in the card -> names in the report of `hand_layer`."""
+"""Names of the values of a layer in the card -> names in the report of `hand_layer`."""
 PALMAR_COSINE = 0.3
 
 

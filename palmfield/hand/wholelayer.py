@@ -145,7 +145,9 @@ def _shares(sheets: ArrayLike | None) -> Float:
 
 
 def upright_cosine(vertices: Float, faces: Int, inward: Float) -> Float:
-    """Return the area-weighted mean cosine of each vertex's direction to its faces, shape (n,), >= LEAST_UPRIGHT."""
+    """Return the area-weighted mean cosine of the direction of each vertex to its faces, shape (n,), >=
+    LEAST_UPRIGHT.
+    """
     unit, area = face_normals(vertices, faces)
     cosine = -np.einsum("ijk,ik->ij", inward[faces], unit) * area[:, None]
     total = np.bincount(faces.ravel(), cosine.ravel(), len(vertices))

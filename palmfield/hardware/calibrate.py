@@ -39,7 +39,7 @@ def add_readings(kind: str, readings: Path, board: Path, layout: str | None, cir
 
 
 def imported(file: Path, board: Path) -> list[str]:
-    """Convert a vendor's file of an OpenMPD board to a calibration; return a description.
+    """Convert a vendor file of an OpenMPD board to a calibration; return a description.
 
     Raises SceneError for an invalid file and for an existing calibration, OutputError as `add_readings`.
     """

@@ -90,7 +90,7 @@ def _measured(head: LogHead, calibration: Path | None) -> LogHead:
 def decode(
     path: str | Path, board: str | None = None, array: str | None = None, calibration: Path | None = None
 ) -> Decoded:
-    """Decode the foci of a file's bytes; arguments and errors as `pieces_of`.
+    """Decode the foci of the bytes of a file; arguments and errors as `pieces_of`.
 
     Phase errors of transducers from the log or from a calibration are included.
     """

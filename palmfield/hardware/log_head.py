@@ -6,7 +6,7 @@ from palmfield.simulation.model import HapticModel, array_instances
 
 
 def log_head(model: HapticModel) -> LogHead:
-    """Return the head of a log of a model's frames, with the limits that its driver sets."""
+    """Return the head of a log of the frames of a model, with the limits that its driver sets."""
     spec, driver = model.spec, model.spec.driver
     own = driver.of_board(model.board.keys)
     limits = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)

@@ -83,9 +83,9 @@ def play_focus(
 ) -> Performance:
     """Emit one focus (array frame [m]) for `duration_s`; return a report, in words.
 
-    keys: of the board, as in palmfield.driver; progress: whether to show a progress bar on a terminal's standard error
-    Raises SceneError for a focus behind the array or more than metres away, DeviceError for an unknown or lost board,
-    and for a level or a modulation that it cannot play.
+    keys: of the board, as in palmfield.driver; progress: whether to show a progress bar on the standard error of a
+    terminal Raises SceneError for a focus behind the array or more than metres away, DeviceError for an unknown or
+    lost board, and for a level or a modulation that it cannot play.
     """
     target.check()
     if (far := too_far(point)) is not None:

@@ -111,7 +111,8 @@ def microphone_scan(
 
 
 def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> Complex:
-    """Return the response of a microphone's body at an angle relative to sound from the front, in the shape of cosine.
+    """Return the response of the body of a microphone at an angle relative to sound from the front, in the shape of
+    cosine.
 
     The cylinder is approximated by a rigid sphere of its diameter (exact, `surface_pressure`). At k a = 1.2, 1/8 inch
     at 40 kHz, sound from the front is raised by 3.4 dB and sound at 50 degrees by 2.5 dB. Multiply the mean over the

@@ -39,7 +39,7 @@ def spot_diameter(
     values: shape (m, n) at rising x (m,) and y (n,) [m]
     level_of_peak: share of the maximum, above 0 and below 1
     of: "equal_area", diameter of the circle of equal area; "widest", largest distance of two points of the region
-    Raises MeasurementError for a map of zeros, and for a region of unknown size because it reaches the map's rim.
+    Raises MeasurementError for a map of zeros, and for a region of unknown size because it reaches the rim of the map.
     """
     share("level_of_peak", level_of_peak)
     field, x, y = grid(np.abs(np.asarray(values, dtype=float)), x_m, y_m)

@@ -21,9 +21,9 @@ def amplitude_spectrum(time_s: ArrayLike, signal: ArrayLike, *, taper: Taper = "
 
     time_s: evenly spaced [s], shape (n,), n >= 8; signal: shape (n,)
     taper: "hann" or "none"; with "none", a record without whole periods has spectral leakage
-    Returns frequencies [Hz] without 0 and amplitudes in the signal's unit, both of shape (n // 2,). A sine of amplitude
-    A at the frequency of a bin gives A in this bin. The weighted mean is subtracted first, so that the window does not
-    spread DC into the lowest bins.
+    Returns frequencies [Hz] without 0 and amplitudes in the unit of the signal, both of shape (n // 2,). A sine of
+    amplitude A at the frequency of a bin gives A in this bin. The weighted mean is subtracted first, so that the
+    window does not spread DC into the lowest bins.
     Raises MeasurementError for fewer than 8 samples, times that are not evenly spaced, and another taper.
     """
     if len(np.atleast_1d(time_s)) < 8:
@@ -45,7 +45,8 @@ def amplitude_spectrum(time_s: ArrayLike, signal: ArrayLike, *, taper: Taper = "
 
 
 def harmonics(time_s: ArrayLike, signal: ArrayLike, fundamental_Hz: float, count: int = 4) -> Float:
-    """Return the amplitudes of the lines at 1, 2, ... count times a frequency, in the signal's unit, shape (count,).
+    """Return the amplitudes of the lines at 1, 2, ... count times a frequency, in the unit of the signal, shape
+    (count,).
 
     The lines and a constant are fitted by least squares, so the record may have any length and uneven times.
     Raises MeasurementError for a record shorter than a period, and for lines above half the sampling rate.

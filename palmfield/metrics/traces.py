@@ -56,7 +56,7 @@ def last_periods(times_s: ArrayLike, frequency_Hz: float, periods: int) -> tuple
 
 
 def mean_value(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -> float:
-    """Return the mean of the samples in a window, in the signal's unit.
+    """Return the mean of the samples in a window, in the unit of the signal.
 
     times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as for `within`
     Raises MeasurementError as `within`.
@@ -138,7 +138,7 @@ def settling_time(
 
 
 def peak_to_peak(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -> float:
-    """Return the largest minus the smallest value, in the signal's unit.
+    """Return the largest minus the smallest value, in the unit of the signal.
 
     times_s, values: as for `mean_value`
     window_s: None is the whole record, including the onset; `last_periods` gives the steady part. The results differ,
@@ -151,7 +151,7 @@ def peak_to_peak(times_s: ArrayLike, values: ArrayLike, window_s: Window = None)
 def rms(
     times_s: ArrayLike, values: ArrayLike, window_s: Window = None, *, mean: Literal["kept", "removed"] = "kept"
 ) -> float:
-    """Return the root mean square over a window, in the signal's unit.
+    """Return the root mean square over a window, in the unit of the signal.
 
     times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as for `within`
     mean: "kept" or "removed", whether the mean is subtracted first

@@ -1,8 +1,8 @@
 """Wake of a moving focus: its length, its area, and the angle of its fronts.
 
 A snapshot is the normal velocity at one moment on a grid, shape (m, n), at rising x (m,) and y (n,) [m]. The focus is
-at focus_x_m on y = 0 and moves along +x. Thresholds are shares of the snapshot's largest magnitude. All functions raise
-MeasurementError for other shapes and for snapshots of zeros.
+at focus_x_m on y = 0 and moves along +x. Thresholds are shares of the largest magnitude of the snapshot. All functions
+raise MeasurementError for other shapes and for snapshots of zeros.
 """
 
 from typing import Literal
@@ -38,7 +38,7 @@ def wake_length(
 
     normal_velocity: a snapshot [m/s], shape (m, n), at rising x_m (m,) and y_m (n,) [m]; the focus is at
         focus_x_m [m] on y = 0 and moves along +x
-    threshold: share of the snapshot's largest magnitude, above 0 and below 1
+    threshold: share of the largest magnitude of the snapshot, above 0 and below 1
     lateral_m: full width of the strip about the path; None is the whole snapshot
     until: "last_above", up to the farthest point above the threshold; "first_below", up to the first point below
     Raises MeasurementError for other shapes and shares, a snapshot of zeros, and one without points behind the focus.

@@ -27,7 +27,7 @@ PREDICT_S = 0.2
 
 class LivePose(NamedTuple):
     """A live pose. pose: in the world; arrived_s: arrival of its sample [s, monotonic clock]; sample_s: time of the
-    sample on the tracker's clock [s], without extrapolation"""
+    sample on the clock of the tracker [s], without extrapolation"""
 
     pose: HandPose
     arrived_s: float

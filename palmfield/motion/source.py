@@ -40,7 +40,7 @@ class HandMotion:
 
 
 def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
-    """Return the motion of the keys of a scene; array: frame of the scene's first array in the world.
+    """Return the motion of the keys of a scene; array: frame of the first array of the scene in the world.
 
     Raises SceneError for files and functions that cannot be read or found.
     """

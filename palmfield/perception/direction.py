@@ -26,7 +26,8 @@ PADDED = 2
 
 
 def weighted(times_s: ArrayLike, displacement_m: ArrayLike, observer: Observer) -> Float:
-    """Return displacement divided by the threshold at each frequency, shape (t, n); zero outside the observer's table.
+    """Return displacement divided by the threshold at each frequency, shape (t, n); zero outside the table of the
+    observer.
 
     times_s: evenly spaced [s], shape (t,); displacement_m: normal displacement of n points [m], shape (t, n)
     A sine at a frequency of the table is returned in units of its threshold, which is a peak amplitude.

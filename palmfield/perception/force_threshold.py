@@ -63,7 +63,7 @@ FORCE_OBSERVER = ForceObserver(
 
 
 def force_level_dB_SL(observer: ForceObserver, amplitude_N: float) -> float:
-    """Return the level of an oscillating force above the observer's threshold [dB]; -inf for amplitude 0.
+    """Return the level of an oscillating force above the threshold of the observer [dB]; -inf for amplitude 0.
 
     amplitude_N: peak amplitude of the force on the observer's area [N]. Raises OutputError if it is below 0.
     """
@@ -76,7 +76,7 @@ def force_near_peak_N(vertices: Float, faces: Int, arp: Float | Float32, area_m2
     """Return the surface integral of the ARP over a disc about the vertex with the highest ARP [N].
 
     vertices: [m], shape (n, 3); faces: shape (m, 3); arp: at the vertices [Pa], shape (n,), linear between them
-    area_m2: area of the disc [m^2]; on a curved surface, the part of it inside the sphere of the disc's radius
+    area_m2: area of the disc [m^2]; on a curved surface, the part of it inside the sphere of the radius of the disc
     """
     radius = math.sqrt(area_m2 / math.pi)
     corners = vertices[faces] - vertices[int(np.argmax(arp))]

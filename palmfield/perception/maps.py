@@ -22,10 +22,10 @@ def level_map(
     *,
     periods: int | None = None,
 ) -> Float:
-    """Return the level above an observer's threshold at each point of the skin [dB SL], shape (m,).
+    """Return the level above the threshold of an observer at each point of the skin [dB SL], shape (m,).
 
-    The level is -inf without motion, and NaN if all lines with motion are outside the observer's table. There is no
-    summation over area.
+    The level is -inf without motion, and NaN if all lines with motion are outside the table of the observer. There is
+    no summation over area.
 
     times_s: rising [s], shape (n,); displacement_m: normal displacement of m points [m], shape (n, m)
     frequencies_Hz: frequencies of the motion that are used, for example by `felt_lines`

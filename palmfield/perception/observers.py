@@ -151,8 +151,8 @@ def threshold_m(
 ) -> Float:
     """Return the peak displacement at threshold [m], interpolated on log-log axes.
 
-    f_Hz: [Hz], any shape; the result has the same shape and is NaN outside the observer's table.
-    area_m2: moving area [m^2] for spatial summation; None for the contact area of the observer's table
+    f_Hz: [Hz], any shape; the result has the same shape and is NaN outside the table of the observer.
+    area_m2: moving area [m^2] for spatial summation; None for the contact area of the table of the observer
     duration_s: duration of the steady vibration [s]; None for a long one
     Raises OutputError for an area or duration that is not above 0, or if the observer has no law for it.
     """
@@ -203,9 +203,10 @@ def levels_dB_SL(
 ) -> Float:
     """Return sensation levels 20 log10 sqrt(sum (A_i / T(f_i))^2) [dB], shape (m,); 0 dB is the threshold.
 
-    The level is -inf without motion, and NaN for motion only outside the observer's table or a NaN amplitude. The sum
-    is over the lines of one channel, and the channel with the highest level is used. DC and lines outside the table are
-    ignored. Pass lines (`line_amplitude`), not the bins of a windowed spectrum: a Hann window counts a line 1.5 times.
+    The level is -inf without motion, and NaN for motion only outside the table of the observer or a NaN amplitude. The
+    sum is over the lines of one channel, and the channel with the highest level is used. DC and lines outside the
+    table are ignored. Pass lines (`line_amplitude`), not the bins of a windowed spectrum: a Hann window counts a line
+    1.5 times.
     frequencies: of the lines [Hz], shape (n,); peak_amplitudes_m: at m points [m], shape (n, m)
     area_m2, duration_s: as for `threshold_m`, with the same errors
     """

@@ -111,7 +111,7 @@ def _unknown_name(found: re.Match[str], element: Element | None, text: SceneText
     name = found[1]
     if element is None or text is None:
         return f"the scene has no object named '{name}' ({found[2]}); give an existing name"
-    # An element's own name may equal that of an element it refers to
+    # The name of an element may equal that of an element it refers to
     fitting = [key for key, value in element.attributes.items() if value == name]
     attribute = next((key for key in fitting if key != "name"), "".join(fitting[:1]))
     kind = element.attributes.get("objtype", "site") if attribute == "objname" else attribute.rstrip("0123456789")

@@ -8,7 +8,7 @@ from palmfield.types import Complex, Float
 MOVED_WAVELENGTHS = 1.0 / 16.0
 """Largest motion of a focus between two records [wavelengths]; beyond it jumps of phases are not counted."""
 LOUDER = 1.0 / 16.0
-"""Largest change of the pressure of a focus relative to the loudest focus, likewise."""
+"""Largest change of the pressure of a focus between two records, relative to the loudest focus."""
 SAME = 0.7
 """Smallest |v^H w| of the leading eigenvectors of two records that count as equal."""
 

@@ -54,7 +54,7 @@ PICTURES: tuple[tuple[str, Callable[..., None]], ...] = (
 )
 """Functions of a result and a path, and of an `image` if BESIDE has the name."""
 BESIDE: dict[str, Callable[[Any], Any]] = {"scene.png": _scene_image}
-"""Images that a thread makes while other pictures are drawn: casting rays leaves Python's lock to them."""
+"""Images that a thread makes while other pictures are drawn, because ray casting releases the GIL."""
 CONVENTIONS = {
     "time_factor": "e^{-i w t}: a delay is +phase",
     "pressure": "complex peak amplitude of the incident field [Pa]",

@@ -341,7 +341,9 @@ class Recorder:
     # -- at the end ----------------------------------------------------------------------------------------------
 
     def surfaces(self) -> Block:
-        """Return ARP and pressure on each skin and on the whole surface of its body at the skin's loudest moment."""
+        """Return ARP and pressure on each skin and on the whole surface of its body at the loudest moment of the
+        skin.
+        """
         block: Block = {}
         radiation = self.runtime.work.radiation
         for number, (skin, moment) in enumerate(zip(self.model.skins, self.loudest, strict=True)):

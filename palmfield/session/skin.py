@@ -68,12 +68,12 @@ class Skin:
 
     @property
     def displacement(self) -> Float:
-        """Displacement of the surface nodes, in the resting body's axes [m], shape (S, 3)."""
+        """Displacement of the surface nodes, in the axes of the resting body [m], shape (S, 3)."""
         return self._motion()[0]
 
     @property
     def velocity(self) -> Float:
-        """Velocity of the surface nodes, in the resting body's axes [m/s], shape (S, 3)."""
+        """Velocity of the surface nodes, in the axes of the resting body [m/s], shape (S, 3)."""
         return self._motion()[1]
 
     @property

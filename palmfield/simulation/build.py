@@ -54,12 +54,12 @@ if TYPE_CHECKING:
 LEAST_FREQUENCY_Hz = 200.0
 """Mesh and time step resolve at least this frequency, unless key max_frequency_Hz sets another."""
 BANDS_AN_OCTAVE, BEYOND = 2, 1.07
-"""Meshes are made for the upper end of a band, so that its frequencies share them; the end serves frequencies of up to
-BEYOND times its own too, since the rules for the sizes are less exact than this."""
+"""A mesh is made for the upper end of a frequency band, so that all frequencies of the band share it. It also serves
+frequencies up to BEYOND times this end, because the rules for the sizes are less exact than this factor."""
 MOST_MODELS = 8
 RIM = 0.6
-"""Share of the spot width by which fine elements reach less far around a focus at the rim of a region than around a
-focus with a mesh of its own: half of the spot is still inside."""
+"""Share of the spot width by which the region of fine elements is smaller around a focus at its rim than around a
+focus with a separate mesh: half of the spot is still inside."""
 _lock = threading.RLock()
 _models: list[HapticModel] = []
 _kept: "list[tuple[SceneLayer, Lazy[WedgeStepper]]]" = []
@@ -420,7 +420,7 @@ def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
 
 
 def band_end(f_Hz: float) -> float:
-    """Return the frequency for which a mesh is made that shall serve one [Hz], at least LEAST_FREQUENCY_Hz."""
+    """Return the frequency for which the mesh of a given frequency is made [Hz], at least LEAST_FREQUENCY_Hz."""
     bands = BANDS_AN_OCTAVE * math.log2(max(f_Hz / BEYOND, LEAST_FREQUENCY_Hz) / LEAST_FREQUENCY_Hz)
     return float(LEAST_FREQUENCY_Hz * 2.0 ** (math.ceil(bands - 1e-9) / BANDS_AN_OCTAVE))
 
@@ -431,7 +431,7 @@ def fine_region(
     """Return middle (from the middle of the layer) and radius of the region where elements are fine [m].
 
     beside: from the middle of the layer to that of the foci, shape (3,); reach_m: of the foci from there; region_m: key
-        focus_region_m, least radius; spot_m: width of the spot, by whose share RIM the radius is smaller. If the foci
+        focus_region_m, least radius; spot_m: width of the spot; the radius is smaller by RIM times it. If the foci
         leave this region about the middle of the layer, the middle of the region is the nearest point of a grid with
         this spacing, so that foci near each other share a region.
     """

@@ -393,7 +393,7 @@ class HostBackend(Backend):
         )
 
     def _leave_class(self, group: StepTrace, skin: int, loaded: Loaded, t0: float) -> bool:
-        """Measure the part of the loads outside the class of a skin's modes; if large, the whole layer takes over.
+        """Measure the part of the loads outside the class of the modes of a skin; if large, the whole layer takes over.
 
         Returns whether any world does so.
         """

@@ -57,7 +57,8 @@ class PosedSurface:
     """One body in one pose; data are computed at first use.
 
     model: the body at rest. skin: the first skin on it. frame: frame of the body in that of the first array.
-    bone_positions, bone_rotations: in the body's frame, shapes (b, 3) and (b, 3, 3); empty for a body in one piece.
+    bone_positions, bone_rotations: in the frame of the body, shapes (b, 3) and (b, 3, 3); empty for a body in one
+    piece.
     serial: unique number. numbers: of the pose, as bytes: only if they are equal, a stored field may be reused.
     """
 
@@ -70,7 +71,7 @@ class PosedSurface:
 
     @cached_property
     def vertices(self) -> Float:
-        """Return vertices of the closed surface, in the body's frame [m], shape (v, 3)."""
+        """Return vertices of the closed surface, in the frame of the body [m], shape (v, 3)."""
         if self.model.surface is None:
             return self.skin.closed_surface[0]
         if self.model.hand is None:
@@ -134,7 +135,7 @@ class PosedSurface:
 class PosedSkin:
     """One skin layer in one pose; positions are in the array frame.
 
-    obstacle_positions, obstacle_rotations: of the obstacles other than bodies with skins, in the body's frame
+    obstacle_positions, obstacle_rotations: of the obstacles other than bodies with skins, in the frame of the body
     numbers: of their poses, as bytes
     """
 

@@ -82,7 +82,9 @@ class Radiation:
         return np.asarray(computed[np.add.accumulate(first, dtype=np.intp) - 1])
 
     def _places(self, posed: PosedScene, skin: int, role: Role) -> Key:
-        """Return a key, equal while a skin's points for a role and all bodies in the path of the sound do not move."""
+        """Return a key, equal while the points of a skin for a role and all bodies in the path of the sound do not
+        move.
+        """
         return posed.sound_keys[skin] if role != "load" else (*posed.sound_keys[skin], self.chosen[skin].serial)
 
     def many(

@@ -35,7 +35,7 @@ from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
 
 NO_LOADS = SurfaceLoads(np.zeros(0), ONE, ONE)
-"""For a skin that the graph has stepped."""
+"""Empty loads of a skin that the graph has stepped."""
 
 
 class Sounding(NamedTuple):
@@ -210,7 +210,7 @@ class SceneGraph(HostBackend):
         return graph, models
 
     def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
-        """Return the device model of a skin's stepper, stored; None if the skin is stepped on the CPU."""
+        """Return the device model of the stepper of a skin, stored; None if the skin is stepped on the CPU."""
         points = len(self.model.skins[skin].layer.quadrature.points)
         given = self.model.substeps, points, self._transducers.device
         return self._made.of((skin, stepper), (), stepper.device_model, *given)
@@ -341,7 +341,8 @@ class SceneGraph(HostBackend):
         return self.load(skin, stepper.points)
 
     def load(self, skin: int, points: Int | None = None) -> Float32:
-        """Return ARP [Pa] of the course at a skin's quadrature points, shape (m, q); points: numbers of some of them.
+        """Return ARP [Pa] of the course at the quadrature points of a skin, shape (m, q); points: numbers of some of
+        them.
 
         The result is a view that the next step overwrites.
         """

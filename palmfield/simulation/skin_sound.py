@@ -34,7 +34,9 @@ class FreeSound:
     samples = staticmethod(seen_samples)
 
     def shades(self, at: SkinPoints) -> Shades | None:
-        """Return the share of each transducer's sound that passes bodies; None without obstacles. Only if it bends."""
+        """Return the share of the sound of each transducer that passes bodies; None without obstacles. Only if it
+        bends.
+        """
         return None
 
     def sound(self, at: SkinPoints, drive: Complex) -> SurfaceSound:
@@ -45,7 +47,7 @@ class FreeSound:
 
 
 class Solution(NamedTuple):
-    """Sound of a drive, shape (N,), on a rigid body in a pose. at: returns it at points in the body's frame [m]"""
+    """Sound of a drive, shape (N,), on a rigid body in a pose. at: returns it at points in the frame of the body [m]"""
 
     posed: PosedScene
     drive: Complex

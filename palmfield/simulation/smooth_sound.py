@@ -127,7 +127,8 @@ class SmoothSound:
         return True
 
     def _shared(self, unit: UnitDrive, key: tuple[float, ...]) -> tuple[UnitDrive, float]:
-        """Return a stored drive for this pose and point with the factor to this world's drive, or the drive itself.
+        """Return a stored drive for this pose and point with the factor to the drive of this world, or the drive
+        itself.
 
         Worlds whose drives differ only in level thus share one field.
         """

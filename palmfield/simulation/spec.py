@@ -1,7 +1,7 @@
 """The contents of a scene before any computation: frozen, comparable, without physics.
 
-Frames: the array frame is that of the first array of the scene; points of a body are in the body's frame. Placements
-are those of the reference configuration of MuJoCo.
+Frames: the array frame is that of the first array of the scene; points of a body are in the frame of the body.
+Placements are those of the reference configuration of MuJoCo.
 """
 
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ class StimulusSpec(Named):
 
     arrays: numbers of the arrays that it drives, ascending. frame: of its focus and path, in that of the first array.
     on_skin: number of the skin on which its path runs, None for a path in space.
-    path_sites: sites along the path, in the frame of that skin's body [m].
+    path_sites: sites along the path, in the frame of the body of that skin [m].
     frame_moves: whether that frame, or the skin under the path, can move relative to the arrays.
     am_table: the waveform in the file of key am_file, None without. focus_table: foci over time, of key path_file.
     """
@@ -77,7 +77,9 @@ class StimulusSpec(Named):
 
 @dataclass(frozen=True)
 class ObstacleSpec:
-    """An obstacle of a skin besides its own body. placement: of the obstacle's body, seen from that of the skin."""
+    """An obstacle of a skin besides its own body. placement: of the body of the obstacle, seen from that of the
+    skin.
+    """
 
     shape: "Obstacle"
     placement: Placement
@@ -87,7 +89,8 @@ class ObstacleSpec:
 class SkinSpec(Named):
     """One skin layer and the body that carries it.
 
-    body: placement of the body, seen from the first array. patch_centre: middle of the layer in the body's frame [m].
+    body: placement of the body, seen from the first array. patch_centre: middle of the layer in the frame of the body
+    [m].
     moves: whether a script moves a body in the scene, so that this body may move too.
     """
 

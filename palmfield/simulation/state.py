@@ -30,8 +30,8 @@ VERSION = 1
 
 
 class HapticState:
-    """arrays: for each array header and emission of its transducers, (w, HEADER + 2 n); skins: for each skin header
-    and numbers, shape (w, HEADER + room). float64; w: worlds, 1 in a plain mj_step
+    """State of a scene. arrays: for each array header and emission of its transducers, (w, HEADER + 2 n); skins: for
+    each skin header and numbers, shape (w, HEADER + room). float64; w: worlds, 1 in a plain mj_step
 
     emitted: complex amplitude that each transducer emits, by array, shape (w, n), views
     """

@@ -1,4 +1,4 @@
-"""Interface between a scene's layer and its solver: other code uses it instead of the solver's name.
+"""Interface between the layer of a scene and its solver: other code uses it instead of the name of the solver.
 
 Wedges, modes and reduced models use the mesh of the scene. Explicit elements, particles and the solvers of other
 packages use another mesh below the same face; body, loads and operators are those of the wedges.
@@ -28,7 +28,7 @@ OWN = {
 
 
 class LayerSolver(Protocol):
-    """Solver of a scene's layer before its stepper is made; costly parts are made at first use.
+    """Solver of the layer of a scene before its stepper is made; costly parts are made at first use.
 
     any_pose, of_class, exact_in_time, factorises: as in its stepper (SkinStepper), available without loading it.
     own_mesh: whether it has another mesh than the wedges, so that its stepper needs only the layer.

@@ -119,15 +119,15 @@ class OwnMesh(ExplicitLayer, Protocol):
         return Layer(patch, self.layer.sheets, base_of(config), config.side)
 
     def planned_load(self) -> Spot:
-        """Return the load for the choice of meshes: spot width and frequency are those of the layer's demand."""
+        """Return the load for the choice of meshes: spot width and frequency are those of the demand of the layer."""
         return self._spot(TONE, self.layer.demand.max_frequency_Hz)
 
     def trial_s(self) -> float:
-        """Return the duration of the load for a solver's error estimate [s]."""
+        """Return the duration of the load for the error estimate of a solver [s]."""
         return min(TRIAL / self.layer.demand.main_frequency_Hz, LONGEST_TRIAL_s)
 
     def trial(self, body: Body, points: Float, areas_m2: Float) -> tuple[Load, Float, Float]:
-        """Return the load for a solver's error estimate, its output times, and two points of the face.
+        """Return the load for the error estimate of a solver, its output times, and two points of the face.
 
         points, areas_m2: of the face [m], (f, 3) and (f,), for a face on which x and y do not define a spot
         """

@@ -284,7 +284,7 @@ class SkinProblem:
         begun: float,
         points: Float | None = None,
     ) -> Motion:
-        """Make the Motion from a solver's result, shape (t, n, 3).
+        """Make the Motion from the result of a solver, shape (t, n, 3).
 
         errors: of the QUANTITIES, (3,); source, solver: in words; begun: time.perf_counter() as it began
         points: positions, if other than `points` [m], shape (n, 3)

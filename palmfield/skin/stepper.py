@@ -136,7 +136,9 @@ class SkinStepper(Protocol):
         ...
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
-        """Prepare an operator (m, ndof) on the layer's unknowns. Raises SceneError for another number of columns."""
+        """Prepare an operator (m, ndof) on the unknowns of the layer. Raises SceneError for another number of
+        columns.
+        """
         ...
 
     def coordinates(self, reader: Reader) -> tuple[Reader, Float] | None:

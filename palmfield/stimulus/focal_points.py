@@ -17,7 +17,7 @@ NO_OFFSETS: Float = np.zeros((0, 3))
 class SurfaceCourse(NamedTuple):
     """A path along a surface in its present pose.
 
-    vertices: of the surface [m], shape (v, 3), in the body's frame; faces: shape (f, 3)
+    vertices: of the surface [m], shape (v, 3), in the frame of the body; faces: shape (f, 3)
     body: body frame relative to the first array
     """
 
@@ -27,7 +27,9 @@ class SurfaceCourse(NamedTuple):
     body: Transform
 
     def positions(self, arcs: Float) -> Float:
-        """Return positions [m], shape (k, 3), in the array frame, at arc lengths from the path's start [m], (k,)."""
+        """Return positions [m], shape (k, 3), in the array frame, at arc lengths from the start of the path [m],
+        (k,).
+        """
         return self.body.points(self.path.positions(arcs, self.vertices, self.faces))
 
 

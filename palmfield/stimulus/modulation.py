@@ -30,7 +30,7 @@ MOST_HARMONICS = 8
 HIGHEST_HZ = 1000.0
 """Highest main frequency; above it the skin hardly responds, and there is no sensation."""
 COURSE_POWER = 0.99
-"""Share of the power of a file's course below the highest of its main frequencies."""
+"""Share of the power of the course of a file below the highest of its main frequencies."""
 
 
 class Modulation(NamedTuple):

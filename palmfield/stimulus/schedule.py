@@ -58,7 +58,8 @@ class Frame:
 
 @lru_cache(maxsize=64)
 def plane_path(config: StimulusConfig) -> "PlanePath | None":
-    """Return the path's shape about its centre; None for a point, and for sites, whose path depends on the surface.
+    """Return the shape of the path about its centre; None for a point, and for sites, whose path depends on the
+    surface.
 
     Raises SceneError for invalid sizes.
     """
@@ -649,7 +650,8 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
 
 @lru_cache(maxsize=KEPT)
 def _table_frequencies(table: "FocusTable") -> list[float]:
-    """Return the strongest line of the load on the paths of a table's foci, and the frequency with most power below.
+    """Return the strongest line of the load on the paths of the foci of a table, and the frequency with most power
+    below.
 
     The load of a point is that of passing spots of SPOT_M with their present level [Hz]. The result is () for fixed
     foci.

@@ -112,7 +112,8 @@ class _Place:
 def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: PlanePath) -> SurfacePath:
     """Draw a plane path on a surface, segment by segment along straight lines of the mesh.
 
-    start_point: position of the origin of the path's plane [m], shape (3,), moved to the nearest point of the surface.
+    start_point: position of the origin of the plane of the path [m], shape (3,), moved to the nearest point of the
+    surface.
         From there a straight line, which is not drawn, goes to the first point of the path.
     direction: +x of the path, shape (3,), of any length; projected to the tangent plane. +y is 90 degrees
         counter-clockwise from it, seen from outside.

@@ -36,7 +36,8 @@ LAYOUT_OF_UNITS = {1: "autd2018", 4: "autd2018_2x2"}
 
 @dataclass(frozen=True)
 class Autd2018(Board):
-    """packet_header, packet_footer: bits, as text; packet_bit_order: of each field; packet_lsb_m: of a coordinate [m]
+    """The board of the paper. packet_header, packet_footer: bits, as text; packet_bit_order: of each field;
+    packet_lsb_m: of a coordinate [m]
     packet_baud: of the serial line to the first unit, not given in the paper; the default is the lowest usual rate
         that carries 2,000 packets a second
     duty_exponent, pwm_edge: see `palmfield.drive.pulse_width`

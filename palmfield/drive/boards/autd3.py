@@ -1,6 +1,6 @@
 """Phase and intensity bytes of AUTD3 units, and the corresponding pulse widths.
 
-The bytes are a pattern of AUTD3's own software, one unit's phases and then its intensities, unit after unit;
+The bytes are a pattern of AUTD3's own software, the phases of one unit and then its intensities, unit after unit;
 `palmfield.drive.autd3_units` sends them to real units.
 """
 

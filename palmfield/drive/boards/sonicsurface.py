@@ -1,7 +1,7 @@
 """Bytes of the SonicSurface board (256 emitters, 230400 baud, 50 % duty) and its emission for them.
 
-The protocol and the buffers follow the board's open firmware (upnalab/SonicSurface, `Distribute.vhd`, `PhaseLine.vhd`);
-the one-step lag of every eighth address was found by a simulation of that firmware.
+The protocol and the buffers follow the open firmware of the board (upnalab/SonicSurface, `Distribute.vhd`,
+`PhaseLine.vhd`); the one-step lag of every eighth address was found by a simulation of that firmware.
 """
 
 import re
@@ -90,7 +90,7 @@ class BufferedTwin(Twin):
         return changes
 
     def _store(self, piece: bytes) -> None:
-        """Store data in the hidden buffer from the counter's address on."""
+        """Store data in the hidden buffer from the address of the counter on."""
         room = EMITTERS - self._counter
         values = np.frombuffer(piece[:room], dtype=np.uint8)
         self._back[self._counter : self._counter + len(values)] = np.where(values == OFF, OFF, values % OFF)

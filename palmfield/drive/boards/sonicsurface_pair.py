@@ -1,7 +1,7 @@
 """Two SonicSurface boards chained on one line, the second one above, facing the first.
 
 The site of the second array is rotated by half a turn about the x axis of the first (quat="0 1 0 0"). In the vendor's
-frame its board has the mirrored map x' = -z, z' = -x, which in that site's frame is a quarter turn of the grid.
+frame its board has the mirrored map x' = -z, z' = -x, which in the frame of that site is a quarter turn of the grid.
 """
 
 from dataclasses import dataclass

@@ -33,7 +33,7 @@ PORT_MAPPING: NDArray[np.int64] = np.array([
 ])  # fmt: skip
 """Port of each signal, times 8, and its bit there."""
 PHASE_COMPENSATION: NDArray[np.int64] = np.zeros(SIGNALS, dtype=np.int64)
-"""Delay of each signal in divisions; zero in the host's present version."""
+"""Delay of each signal in divisions; zero in the present version of the host."""
 TURNS = np.exp(2j * np.pi * np.arange(DIVISIONS) / DIVISIONS)
 FULL = TURNS[: DIVISIONS // 2].sum()
 

@@ -78,7 +78,8 @@ def fit_elements(
     at: nominal places of the microphone, array frame [m], shape (m, 3), 3 places at least
     readings: complex peak pressure of each transducer alone at full drive with phase 0 (a delay is +phase), shape (m,
         n); NaN if missing
-    place_sd_m, temperature_sd_K: standard deviations of the places, by axis, and of the air's temperature: its mean and
+    place_sd_m, temperature_sd_K: standard deviations of the places, by axis, and of the temperature of the air: its
+    mean and
         its drift while all transducers sound in turn
     Raises PalmfieldError for shapes that do not fit, readings that are infinite, a transducer without readings, fewer
     than 3 places, places that are not in front of the array, and if most readings fit no sound from their places.
@@ -132,8 +133,8 @@ def fit_elements(
 
 
 class _Model:
-    """The model's pressures and their derivatives; unknowns besides G_n: moves by axis, sound speed, b1 and b2, each /
-    sd."""
+    """The pressures of the model and their derivatives; unknowns besides G_n: moves by axis, sound speed, b1 and b2,
+    each / sd."""
 
     def __init__(self, array: Array, air: Air, places: Float, place_sd_m: float, temperature_sd_K: float):
         self.array, self.places, self.place_sd_m = array, places, place_sd_m
@@ -305,7 +306,7 @@ def _normal_equations(
     common: float,
     sigma: float,
 ) -> tuple[Float, Float]:
-    """Return J'J and J'r over real parts of G, imaginary parts of G, the model's unknowns and the common phase."""
+    """Return J'J and J'r over real parts of G, imaginary parts of G, the unknowns of the model and the common phase."""
     count = len(factor)
     size = 2 * count + model.extra + 1
     normal, right = np.zeros((size, size)), np.zeros(size)

@@ -20,7 +20,7 @@ TURN_SD_RAD = math.radians(3.0)
 """Prior standard deviation of the rotations of the board about each axis."""
 OFFSET_SD_M = 10e-3
 WITHIN_M = 0.03
-"""Largest distance of a focus's loudest reading from it; beyond it another error is present [m]."""
+"""Largest distance of the loudest reading of a focus from it; beyond it another error is present [m]."""
 
 
 def fit_pose(
@@ -31,8 +31,8 @@ def fit_pose(
     array: with calibrated gains, in its nominal frame
     foci_m: commanded for each reading, in that frame [m], shape (k, 3)
     at: places of the microphone, in the same frame [m], shape (k, 3); pressures_Pa: amplitudes, shape (k,)
-    temperature_sd_K: standard deviation of the air's temperature: faster sound moves foci closer Rotations are fitted
-    only for three separate foci or more, else only offsets (turn 0).
+    temperature_sd_K: standard deviation of the temperature of the air: faster sound moves foci closer Rotations are
+    fitted only for three separate foci or more, else only offsets (turn 0).
     Raises PalmfieldError for fewer than 8 readings, invalid shapes, readings below 0 or not finite, and for a loudest
     reading farther than WITHIN_M from its focus.
     """

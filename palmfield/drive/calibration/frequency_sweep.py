@@ -23,7 +23,8 @@ NOISE = 0.01
 
 @dataclass(frozen=True)
 class SweepFit:
-    """resonance_Hz and quality of all transducers together, with standard errors from the scatter over places.
+    """Result of the fit: resonance_Hz and quality of all transducers together, with standard errors from the scatter
+    over places.
 
     misfit: rms residual, relative to the rms reading. If transducers differ in resonance, the quality is too
     low: it is that of their sum.
@@ -42,13 +43,13 @@ def fit_sweep(
     """Fit one pole for all transducers, and a free factor for each place, by least squares over complex pressures.
 
     p(m, f) = C_m e^{i 2 pi f t_m} P(f; f0, Q) S_m(f): S_m is the sum over the transducers of the sound at that
-    frequency with the drive's phases, P = g/(g - i 2 pi (f - f0)), g = pi f0/Q, and t_m the delay of recorder and
+    frequency with the phases of the drive, P = g/(g - i 2 pi (f - f0)), g = pi f0/Q, and t_m the delay of recorder and
     place. Places are also fitted separately: errors are those of the mean over places, since disturbances (echoes,
     interference) differ between places.
 
-    drive: complex amplitudes, the same at all frequencies, shape (n,); at: the microphone's places, array frame [m],
-    shape (m, 3), 8 at least; frequencies_Hz: shape (q,), 5 at least; pressures_Pa: complex (a delay is +phase), (m, q)
-    Raises PalmfieldError for fewer places or frequencies, invalid shapes, numbers that are not finite, and for a
+    drive: complex amplitudes, the same at all frequencies, shape (n,); at: the places of the microphone, array frame
+    [m], shape (m, 3), 8 at least; frequencies_Hz: shape (q,), 5 at least; pressures_Pa: complex (a delay is +phase),
+    (m, q) Raises PalmfieldError for fewer places or frequencies, invalid shapes, numbers that are not finite, and for a
     resonance outside the sweep.
     """
     where = check.points(np.asarray(at, float), np.float64)

@@ -1,10 +1,10 @@
 """Read the vendor's files of single OpenMPD boards (board_N.pat) as calibrations.
 
-Seven lines, as `GenerateBoardConfigurationFiles` of the vendor's driver writes them: hardware id, number of
+Seven lines, as `GenerateBoardConfigurationFiles` of the driver of the vendor writes them: hardware id, number of
 transducers, phase steps, positions (x, y, z) [m], place of each transducer in the byte stream, phase [deg], amplitude.
-The driver (`AsierInhoImpl_V2::discretizePhases`, sbg97/OpenMPD_Driver) subtracts a transducer's phase before it rounds,
-so the phase is the transducer's delay, like `phase_rad`. An inverted transducer has about 180 deg more. This was not
-tried on hardware.
+The driver (`AsierInhoImpl_V2::discretizePhases`, sbg97/OpenMPD_Driver) subtracts the phase of a transducer before it
+rounds, so the phase is the delay of the transducer, like `phase_rad`. An inverted transducer has about 180 deg more.
+This was not tried on hardware.
 """
 
 import re

@@ -20,9 +20,10 @@ PER_WAVELENGTH = 8
 
 @dataclass(frozen=True)
 class PlateFit:
-    """p0_Pa_m, its standard error from the scatter, and the ends of its 95 % interval with the law's own error.
+    """Result of the fit. p0_Pa_m: with its standard error from the scatter, and the ends of its 95 % interval, which
+    includes the error of the law.
 
-    fringe: relative amplitude of the force's variation with distance, from sound between plate and array
+    fringe: relative amplitude of the variation of the force with distance, from sound between plate and array
     drift_N_s: of the scale [N/s]
     """
 
@@ -47,13 +48,13 @@ def fit_plate(
 ) -> PlateFit:
     """Fit p0 by the local law to the forces on the scale.
 
-    F(t) = on p0^2 f(h) (1 + a cos 2kh + b sin 2kh) + draught(h) + drift t: f is the law's force for p0 = 1 on the plate
-    at distance h, a and b the fringes due to sound between plate and array, half a wavelength long, and draught the
-    reading at a distance with the array off. Solved by linear least squares in p0^2, p0^2 a, p0^2 b, draughts and
+    F(t) = on p0^2 f(h) (1 + a cos 2kh + b sin 2kh) + draught(h) + drift t: f is the force of the law for p0 = 1 on the
+    plate at distance h, a and b the fringes due to sound between plate and array, half a wavelength long, and draught
+    the reading at a distance with the array off. Solved by linear least squares in p0^2, p0^2 a, p0^2 b, draughts and
     drift.
 
     array: with calibrated gains; drive: complex amplitudes, shape (n,), of transducers as wired
-    size_m: of the plate, which is centred on the array's axis and lies across it
+    size_m: of the plate, which is centred on the axis of the array and lies across it
     distances_m, times_s, on, forces_N: of each reading, shape (k,); on is 1 while the array sounds, else 0
     level: its pressure relative to full drive
     Raises PalmfieldError for fewer than 4 distances or ones beyond half a wavelength of the others, readings of one

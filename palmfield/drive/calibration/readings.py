@@ -29,7 +29,7 @@ class Circumstances:
     """Circumstances of a measurement besides its readings.
 
     source: who measured when, and with what; microphone_error: 95 % of its own calibration's error, relative
-    place_sd_m, temperature_sd_K: standard deviations of the microphone's places, by axis, and of the temperature
+    place_sd_m, temperature_sd_K: standard deviations of the places of the microphone, by axis, and of the temperature
     focus_m: commanded focus, array frame [m]; plate_m: sides of the plate [m]
     level: its pressure relative to full drive
     """
@@ -46,7 +46,7 @@ class Circumstances:
 
 @dataclass(frozen=True)
 class Measured:
-    """calibration: with the results of the readings; report: the results, one line each"""
+    """Result of readings. calibration: with these results; report: the results, one line each"""
 
     calibration: Calibration
     report: tuple[str, ...]

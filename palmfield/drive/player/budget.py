@@ -5,7 +5,7 @@ WINDOW_S = 10.0
 
 
 class SoundBudget:
-    """on_time_s: longest total, 0 for any; duty: largest share of time with sound, over about window_s
+    """Budget of sound. on_time_s: longest total, 0 for any; duty: largest share of time with sound, over about window_s
 
     Allowed time accumulates at the rate `duty`, up to that share of the window, and is used up by sound. Once it is
     spent there is silence until half of it is restored. reason: why sound is not allowed, in words

@@ -11,7 +11,7 @@ BEHIND_S = 2e-3
 
 
 class LineClock:
-    """byte_s: time of one byte on the line [s]"""
+    """Clock of a line. byte_s: time of one byte on the line [s]"""
 
     def __init__(self, byte_s: float) -> None:
         self.byte_s = byte_s

@@ -9,7 +9,7 @@ UNSENT_SHARE = 0.01
 
 @dataclass(frozen=True)
 class PlayReport:
-    """frames: sent whole; skipped: replaced by a newer due one; cut: partly taken by the system
+    """Report of a play. frames: sent whole; skipped: replaced by a newer due one; cut: partly taken by the system
 
     late_s: worst delay of the last byte of a frame on the line; late_p99_s, late_p50_s: 99 and 50 % quantiles of it
     write_p99_s: 99 % quantile of the delay of writing to the system; write_worst_s: the worst delay

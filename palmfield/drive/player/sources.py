@@ -15,7 +15,8 @@ LIVE_AHEAD_S = 1e-3
 
 
 class NextFrame(NamedTuple):
-    """at_s: when to write it; due_s: target time of its last byte on the line; data: empty to choose again at this time
+    """The next frame. at_s: when to write it; due_s: target time of its last byte on the line; data: empty to choose
+    again at this time
 
     number: of the frame among all, from 0 on; -1 for repeated or extra frames
     """
@@ -200,7 +201,7 @@ class LiveSource:
         return self._choice
 
     def _ramped(self, frame: LiveFrame, now_s: float) -> float:
-        """Return the share of the newest frame's level now, which rises and falls within the ramp's time."""
+        """Return the share of the level of the newest frame now, which rises and falls within the time of the ramp."""
         sounds = self._gain > 0.0 and frame.level > 0.0
         within = self.budget.allows(now_s, sounds)
         # The age of a frame for a later moment counts from that moment

@@ -43,7 +43,7 @@ def sound_of(drives: list[tuple[PhasedArray, Complex]]) -> list[SoundMoment]:
 
 
 def scene_at_head(view: Preview, duration_s: float) -> Exposure:
-    """Return the sound at the head defined by the driver's keys, with bands for the range of p0.
+    """Return the sound at the head defined by the keys of the driver, with bands for the range of p0.
 
     Errors as in `palmfield.hardware.safety.exposure.at_head`.
     """
@@ -54,7 +54,7 @@ def scene_at_head(view: Preview, duration_s: float) -> Exposure:
 
 
 def warn_at_head(view: Preview, duration_s: float) -> None:
-    """Log warnings on the sound at the head, if the driver's keys define a head.
+    """Log warnings on the sound at the head, if the keys of the driver define a head.
 
     Raises DeviceError above key head_limit_dB, and the errors of `scene_at_head`.
     """

@@ -1,4 +1,4 @@
-"""Choose a skin's stepper: whole layer, reduced model for a predicted load, modes, or that of key `solver`."""
+"""Choose the stepper of a skin: whole layer, reduced model for a predicted load, modes, or that of key `solver`."""
 
 from collections.abc import Sequence
 

@@ -46,7 +46,9 @@ SHARE = 0.1
 MOST_TURNS = 4
 """Largest number of turns of a path after which path and modulation together must repeat."""
 BAND = 2.5
-"""Harmonics of a model's load are limited to this factor times the highest frequency that mesh and step resolve."""
+"""Harmonics of the load of a model are limited to this factor times the highest frequency that mesh and step
+resolve.
+"""
 TRIAL_S, LONGEST_TRIAL_S = 0.03, 0.1
 """Time of the load under which models are compared [s], and its upper limit for a load with a longer period."""
 REST_S = 2.5e-3
@@ -195,7 +197,7 @@ def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
 def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float32]:
     """Return the load of the single sounding stimulus on a skin in a constant pose, and the pressures in it.
 
-    The pressures are at the quadrature's points [Pa], shape (t, q).
+    The pressures are at the points of the quadrature [Pa], shape (t, q).
     """
     number = model.sounding
     stimulus, radiation = model.stimuli[number], Radiation(model)

@@ -33,7 +33,7 @@ def leaves_small_model(
     emission: Emission,
     t0: float,
 ) -> bool:
-    """Whether a skin's reduced model has become invalid: body, arrays or focus have moved, or the run starts late.
+    """Whether the reduced model of a skin has become invalid: body, arrays or focus have moved, or the run starts late.
 
     A late run begins after the start of the sound. Raises SceneError instead if key `solver` names the stepper.
     """
@@ -133,7 +133,8 @@ class OutsideClass:
 
 
 def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
-    """Whether modes have become invalid: the part of a step's load outside their class exceeds the target accuracy.
+    """Whether modes have become invalid: the part of the load of a step outside their class exceeds the target
+    accuracy.
 
     share: see OutsideClass.add, one number or several. If key `solver` requests modes, they continue, and the error of
     the run includes this part.

@@ -43,12 +43,14 @@ MOVES = (
     ((0.0, 0.0, -0.025), (0.0, 0.0), 8, 5),
     ((0.018, 0.018, 0.0), (0.12, -0.12), 8, 5),
 )
-"""Motions of the body in the examples: shift along the two axes of the skin's frame and outwards [m], tilt about these
-axes [rad]; number of examples with one focus, and with two of any relative phase; all without their images."""
+"""Motions of the body in the examples: shift along the two axes of the frame of the skin and outwards [m], tilt about
+these axes [rad]; number of examples with one focus, and with two of any relative phase; all without their images."""
 NEAREST = 0.5
 """Upper limit of a shift, as a share of the distance from the skin to the nearest transducer."""
 ALONG = 0.9
-"""If the body's first axis has a larger component along the skin's normal, its second axis defines the frame."""
+"""If the first axis of the body has a larger component along the normal of the skin, its second axis defines the
+frame.
+"""
 OFF_SKIN_m = 0.006
 """Largest distance by which a focus misses the skin in an example, along each axis [m]."""
 SPAN = 0.1
@@ -142,7 +144,7 @@ def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
 
 
 def _skin_axes(layer: SceneLayer, middle: Float, region_m: float) -> Float:
-    """Return the frame of a skin in the body's frame, by column: two tangents and the outward normal, (3, 3)."""
+    """Return the frame of a skin in the frame of the body, by column: two tangents and the outward normal, (3, 3)."""
     quadrature = layer.quadrature
     near = np.linalg.norm(quadrature.points - middle, axis=1) < region_m
     normal = (quadrature.weights * near) @ quadrature.normals
@@ -169,7 +171,8 @@ def _images_of(move: Float) -> list[Float]:
 
 
 def _foci(rng: np.random.Generator, offsets: Float, region_m: float, count: int) -> Float:
-    """Return foci near the skin and their images, from its centre in the skin's frame [m], shape (images, count, 3).
+    """Return foci near the skin and their images, from its centre in the frame of the skin [m], shape (images, count,
+    3).
 
     offsets: of the quadrature points, in that frame, shape (q, 3). Foci are uniform over the area of the region, by
     distance from the middle and direction, and take their height from the nearest point.
@@ -209,7 +212,7 @@ def _has_edges(skin: SkinSpec) -> bool:
 def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Return which points lie outside the shadow of a straight finger or half plane, and of its images.
 
-    offsets: of the points from the region's middle in the skin's frame [m], shape (q, 3)
+    offsets: of the points from the middle of the region in the frame of the skin [m], shape (q, 3)
     Returns shape (images * count, q), image by image, in the order of foci.
     """
     angle = 2.0 * math.pi * rng.random((count, 1))

@@ -12,7 +12,7 @@ BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
 KEPT = 0.36
 """Approximate number of modes per block and shape without the weak ones."""
 SHAPES = 15.0
-"""Load shapes at accuracy 0.2 on a region as wide as a spot, about."""
+"""Approximate number of load shapes at accuracy 0.2 on a region as wide as a spot."""
 LEAST_CORNER_Hz = 75.0
 """Corner of the spectrum of a load with only onset and end; the spectrum of a start or stop falls as 1/f."""
 

@@ -23,7 +23,8 @@ SAMPLES = 1 << 15
 
 
 def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
-    """Frequency [Hz] and energy of the load's course from rest to end_s by band, both (b,), bands without any left out.
+    """Frequency [Hz] and energy of the course of the load from rest to end_s by band, both (b,), bands without any
+    left out.
 
     The course of a spot is its pressure at the middle of its path; the course of a traction is that of its largest
     point. It begins at rest and is released at the end, so that jumps count. Near resonance_Hz the bands are finer.
@@ -67,7 +68,9 @@ def resonance(material: Material, depth_m: float) -> float:
 
 
 def course_at(load: Load, times: Float) -> Float:
-    """Pressure [Pa] over times at the middle of a spot's path, or at a traction's strongest point, shape (t,)."""
+    """Pressure [Pa] over times at the middle of the path of a spot, or at the strongest point of a traction, shape
+    (t,).
+    """
     if not isinstance(load, Spot):
         strongest = int(np.argmax(np.abs(load.pressure_Pa).max(axis=0)))
         return between(load, load.pressure_Pa[:, strongest], times)

@@ -51,7 +51,9 @@ def distance_to_sides(body: Body, places: Float) -> Float:
 
 
 def pressure_at_sides(body: Body, load: Load) -> float:
-    """Largest pressure on the sides of a body over the load's peak, 0 to 1; of given points, those at the sides."""
+    """Largest pressure on the sides of a body over the peak of the load, 0 to 1; of given points, those at the
+    sides.
+    """
     if isinstance(load, Spot):
         room = np.maximum(distance_to_sides(body, load.centres()), 0.0)
         strength = np.abs(load.peak_Pa) * np.exp(-GAUSSIAN * (room / load.fwhm_m) ** 2)

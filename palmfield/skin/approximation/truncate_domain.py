@@ -27,7 +27,8 @@ FURTHEST = 20.0
 
 
 def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: float) -> tuple[Body, Load, float]:
-    """Return the part of a body around the load's path and the points, the load on it, and the effect of truncation.
+    """Return the part of a body around the path of the load and the points, the load on it, and the effect of
+    truncation.
 
     end_s: last requested time [s]. at: requested points [m], shape (n, 2) or (n, 3). accuracy: target relative error.
     A layer of one sheet bonded to bone is cut where the edge changes the motion by SHARE of the accuracy, by the flat
@@ -69,7 +70,7 @@ def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: f
 def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float, float] | None:
     """Distance from a spot [m] at which an edge changes its motion by at most SHARE of the accuracy, and that change.
 
-    The motion at a distance over that at the centre, both as energies summed over the load's bands. An edge there
+    The motion at a distance over that at the centre, both as energies summed over the bands of the load. An edge there
     reflects a wave of at most that, which decays on its way as the first one did. A guided wave, above c_s / 4h, meets
     in the middle of a round edge with sqrt(2 pi k R) of its amplitude there. Larger distances count as well, because
     motion may pass through 0. None if no distance up to FURTHEST widths is enough.

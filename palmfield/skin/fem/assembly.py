@@ -108,9 +108,11 @@ def assemble(
     """Assemble a layer.
 
     material: of the whole layer, or of each of its rows of elements, the one at the surface first.
-    base: "bonded" (no motion), "free_slip" (no motion along the base's normal), "free" (no traction), Springs, or a
+    base: "bonded" (no motion), "free_slip" (no motion along the normal of the base), "free" (no traction), Springs, or
+    a
         Foundation (sheets below the mesh; the sides continue along them).
-    side: "fixed" (no motion), "free" (no traction), "roller" (no motion along the side's normal, square to the axis)
+    side: "fixed" (no motion), "free" (no traction), "roller" (no motion along the normal of the side, square to the
+    axis)
         or "absorbing" (dashpots).
         A free-slip base under roller sides leaves the disc free to spin about its axis. Its static sideways motion is
         then an arbitrary rotation by round-off; its normal motion is right.
@@ -339,7 +341,7 @@ def element_matrices(mesh: WedgeMesh) -> tuple[Float, Float, Float]:
 
 
 class _Pattern:
-    """Place of each element's node pair in the global matrix."""
+    """Place of the node pair of each element in the global matrix."""
 
     def __init__(self, mesh: WedgeMesh) -> None:
         self.nodes = len(mesh.nodes)

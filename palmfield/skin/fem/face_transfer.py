@@ -15,10 +15,11 @@ class FaceTransfer:
     """Data on the wedges, which define loads and operators, for a stepper on its own mesh.
 
     system: of the wedges. points: nodes of the other face [m], shape (f, 3).
-    weights: motion of the wedges' surface nodes by that of the other face's nodes, csr, shape (S, f).
-    pressure: pressure at the nodes of the other face [Pa] by pressure at the layer's quadrature points, csr, shape
+    weights: motion of the wedges' surface nodes by that of the nodes of the other face, csr, shape (S, f).
+    pressure: pressure at the nodes of the other face [Pa] by pressure at the quadrature points of the layer, csr, shape
         (f, q): the quadratic polynomial through the six points of each triangle.
-    motion: unknowns of the wedges by displacement of the other face's nodes, csr, shape (ndof, 3 f); 0 below the face.
+    motion: unknowns of the wedges by displacement of the nodes of the other face, csr, shape (ndof, 3 f); 0 below the
+    face.
     """
 
     def __init__(self, system: SkinSystem, points: Float, weights: sparse.csr_matrix) -> None:

@@ -1,6 +1,6 @@
 """One step of generalised-alpha (Chung & Hulbert 1993) for a viscoelastic body, as numbers.
 
-A branch's internal displacement q, q' = (u - q) / tau, is integrated exactly for u linear over the step, so that
+The internal displacement of a branch q, q' = (u - q) / tau, is integrated exactly for u linear over the step, so that
 q1 = e q0 + a u0 + b u1 with e = exp(-h/tau), b = 1 - (1 - e) tau/h and a = 1 - e - b. It is stable for every h/tau,
 and q1 -> u1 as h/tau -> infinity: the branch then simply relaxes.
 """

@@ -9,7 +9,9 @@ from palmfield.skin.materials.material import Material
 
 @dataclass(frozen=True)
 class Part:
-    """Stiffness [N/m] of G_r, symmetric, sparse or dense, shape (n, n), that relaxes as a material's shear modulus."""
+    """Stiffness [N/m] of G_r, symmetric, sparse or dense, shape (n, n), that relaxes as the shear modulus of a
+    material.
+    """
 
     stiffness: Any
     material: Material

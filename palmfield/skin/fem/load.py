@@ -67,7 +67,9 @@ def halvings_for(corners: Float, weights_m2: Float) -> int:
 
 
 def quartered_rule(halvings: int) -> tuple[Float, Float]:
-    """Points (q, 2) and weights (q,) of the triangle's rule in each of the 4^halvings parts of the unit triangle."""
+    """Points (q, 2) and weights (q,) of the rule of the triangle in each of the 4^halvings parts of the unit
+    triangle.
+    """
     points, weights = triangle_rule()
     for _ in range(halvings):
         parts = [0.5 * points + corner for corner in np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])]

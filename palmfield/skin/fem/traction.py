@@ -196,8 +196,8 @@ def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
 class PressureHistory:
     """The pressure of a load on a layer over time.
 
-    operator: csr, shape (n, q): consistent nodal force [N] = operator @ pressure at the load's points [Pa]
-    knots_s: the load's own times [s]
+    operator: csr, shape (n, q): consistent nodal force [N] = operator @ pressure at the points of the load [Pa]
+    knots_s: times of the load [s]
     Raises SceneError for a load whose points lie off the surface.
     """
 
@@ -262,7 +262,7 @@ class PressureHistory:
         return float(self._knot_weights(t) @ np.asarray(self.load.peak_Pa))
 
     def _knot_weights(self, t: float) -> Float:
-        """Return the weight of each of the load's own times at time t [s], shape (f,)."""
+        """Return the weights of the times of the load at time t [s], shape (f,)."""
         knots, weights = self.knots_s, np.zeros(len(self.knots_s))
         place = int(np.searchsorted(knots, t, side="right")) - 1
         if place >= 0:

@@ -13,7 +13,7 @@ UNITS: dict[str, str] = {"surface speed": "m/s", "shear speed": "m/s", "decay": 
 class Range:
     """A parameter of a Material (the name of a field) or of its whole shear modulus ("shear"), and its range.
 
-    low, high: in the unit of the field, or as factors on the preset's shear modulus for the parameter "shear".
+    low, high: in the unit of the field, or as factors on the shear modulus of the preset for the parameter "shear".
     source: the kind of range (one standard deviation, extremes, ...) and its origin.
     """
 

@@ -42,7 +42,9 @@ def cylinder_patch(radius_m: float, length_m: float, thickness_m: float, edge_m:
 
 
 def cylinder_surface(radius_m: float, length_m: float, edge_m: tuple[float, float]) -> Surface:
-    """A closed cylinder about x with flat ends, its middle at the origin, for a scene's body; as `cylinder_patch`."""
+    """A closed cylinder about x with flat ends, its middle at the origin, for the body of a scene; as
+    `cylinder_patch`.
+    """
     _check(radius_m, length_m, edge_m)
     vertices, faces, around = _tube(radius_m, length_m, edge_m)
     count = len(vertices)

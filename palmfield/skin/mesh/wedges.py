@@ -104,7 +104,8 @@ def extrude(patch: Patch, fractions: Float) -> WedgeMesh:
 
 
 def _rim_normals(vertices: Float, directed: Int, axis: Float, surface_nodes: int) -> tuple[Float, Int, Float]:
-    """Unit normals, square to the axis, at the nodes (start, end, middle) of the rim's directed edges; 0 elsewhere.
+    """Unit normals, square to the axis, at the nodes (start, end, middle) of the directed edges of the rim; 0
+    elsewhere.
 
     Also the vertices where the rim turns by more than 75 degrees, the corners of a box, and their second normals: a
     roller holds both directions there.

@@ -343,7 +343,9 @@ class ModalStepper(SkinStepper):
 
 
 def _propagators(scheme: Scheme, padded: int) -> tuple[Float, Float]:
-    """Matrix of a mode's state over a substep, (padded, rows, rows), and its increment by a force, (padded, rows)."""
+    """Matrix of the state of a mode over a substep, (padded, rows, rows), and its increment by a force, (padded,
+    rows).
+    """
     diagonals = [term.matrix.diagonal() for term in scheme.terms]
     count, rows = len(diagonals[0]), scheme.state_rows
     rigidity = sum(term.coefficient * diagonal for term, diagonal in zip(scheme.terms, diagonals, strict=True))

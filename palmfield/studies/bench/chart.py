@@ -11,7 +11,7 @@ from palmfield.studies.bench.table import FieldRow
 
 MARKERS = "os^"
 PANEL_POINTS = 300.0
-"""Height of a panel's axes in typographic points, approximately; labels are at least LABEL_POINTS apart."""
+"""Height of the axes of a panel in typographic points, approximately; labels are at least LABEL_POINTS apart."""
 LABEL_POINTS = 10.0
 
 

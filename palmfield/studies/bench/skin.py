@@ -44,7 +44,8 @@ RADIUS_M = 0.06
 class SkinRow:
     """One solution. missing: reason if there is none
 
-    static, moving: relative errors of the centre's displacement, under a static load, and of its complex amplitude at
+    static, moving: relative errors of the displacement of the centre, under a static load, and of its complex
+    amplitude at
         F_Hz
     stated: error estimate of the solver; size: its resolution in words
     """

@@ -22,7 +22,9 @@ from palmfield.studies.bench.problem import Method, load
 
 
 def memory_MiB(name: str) -> float:
-    """Return VmRSS (now) or VmHWM (peak). getrusage would include the parent's peak, which survives vfork and exec."""
+    """Return VmRSS (now) or VmHWM (peak). getrusage would include the peak of the parent, which survives vfork and
+    exec.
+    """
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(name + ":"):
             return int(line.split()[1]) / 1024.0

@@ -51,7 +51,7 @@ def compare(
 
     run: folder of a run, or its result.nc; measured: file of a scan (`palmfield.outputs.scan_files.READERS`), or a Scan
     instrument: TOML file with a table [vibrometer], or settings; sampling rate, length, quantity and, if it has them,
-        lines of sight are taken from the scan. None: motion along the normal of the first array's side, no filters
+        lines of sight are taken from the scan. None: motion along the normal on the side of the first array, no filters
     skin: name, needed if the run has several; fiducials: CSV file with columns PAIR_COLUMNS, points in the frame of the
         scan and their positions on the skin at rest
     onto_surface: move the scan onto the skin as far as the shape of the skin determines its position
@@ -165,7 +165,7 @@ def _in_millimetres(scan: Scan, vertices: Float) -> str:
 
 
 def _through_instrument(motion: SurfaceMotion, scan: Scan, place: Registration, settings: Vibrometer | None) -> Scan:
-    """Return the computed motion at the scan's places as its instrument reads it, at its times within the run."""
+    """Return the computed motion at the places of the scan as its instrument reads it, at its times within the run."""
     head = settings or _straight(motion.normals.mean(axis=0))
     rate = scan.rate_Hz
     trigger = head.trigger_s + float(scan.times_s[0])

@@ -15,7 +15,7 @@ from palmfield.types import Float
 UNIT = 30.0
 """A gain that differs from 1 by this factor, up or down, suggests a wrong unit rather than a level."""
 FOLDED = 0.02
-"""Share of the computed power above half of the scan's rate from which aliasing is reported."""
+"""Share of the computed power above half of the rate of the scan from which aliasing is reported."""
 SHARPEN = 4
 """Exponent of the rms that weights points in `middle`, so that the point with the largest motion counts most."""
 LEAST_APART_M = 1e-3

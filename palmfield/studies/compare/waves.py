@@ -10,7 +10,7 @@ from palmfield.instruments.scan import Scan
 from palmfield.types import Float
 
 FLAT = 0.02
-"""Largest distance of a scan's points from a plane, as a share of its width."""
+"""Largest distance of the points of a scan from a plane, as a share of its width."""
 
 
 def guided_modes(

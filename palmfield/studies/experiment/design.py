@@ -124,7 +124,7 @@ class Trigger(_Part):
 class Design(_Part):
     """An experiment. See docs/experiments.md for each key.
 
-    scene: file, relative to the experiment's file; blocks: number of runs of each condition
+    scene: file, relative to the file of the experiment; blocks: number of runs of each condition
     order: in each block, trials of all conditions interleaved, or one condition after another, both drawn by seed
     """
 

@@ -47,7 +47,7 @@ class Log(NamedTuple):
 
 
 def read_experiment_log(path: Path) -> Log:
-    """Read the log's content; an incomplete last line, for instance after a power failure, is ignored.
+    """Read the content of the log; an incomplete last line, for instance after a power failure, is ignored.
 
     Raises OutputError for a file that cannot be read or is not a log of this version.
     """
@@ -94,7 +94,7 @@ def next_trial(design: Design, trials: list[Trial]) -> tuple[int, int, int, floa
 
 
 class LogWriter(Closing):
-    """Writes an experiment's log, new or continued; it is locked for other processes. A context manager.
+    """Writes the log of an experiment, new or continued; it is locked for other processes. A context manager.
 
     trials: trials so far, in order; session: number of this session, from 1
     """
@@ -162,7 +162,7 @@ class LogWriter(Closing):
 
 
 def _scene_digest(scene: Path) -> str:
-    """Return a digest of the scene's file and those that it includes."""
+    """Return a digest of the file of the scene and those that it includes."""
     text = read_scene_text(scene)
     result = hashlib.sha256()
     for file in (scene, *text.included):

@@ -20,7 +20,7 @@ from palmfield.session.preview import preview
 from palmfield.whole_files import made_folder
 
 OnSound = Callable[[float], None]
-"""Called with the time of the first frame's sound as soon as it is measured [s, time.monotonic]."""
+"""Called with the time of the sound of the first frame as soon as it is measured [s, time.monotonic]."""
 MOST_PREPARED = 256
 
 
@@ -39,7 +39,7 @@ class Emission(NamedTuple):
 
     first_s, last_s: of the first and the last frame; frames: their number; skipped: number of dropped frames
     log: file of sent frames and their times; None without a board, when times are those of the calls
-    log_s: time of the first frame on the log's clock [s]
+    log_s: time of the first frame on the clock of the log [s]
     """
 
     first_s: float
@@ -60,7 +60,7 @@ def presentation(
     """Return the frames of a scene with changed keys, as `drive` sends them, within the limits of its driver.
 
     Raises SceneError for a bad scene or key. Raises DeviceError for a scene that the board cannot play, for a board
-    that takes no bytes, and for sound that is longer or louder than the driver's keys allow.
+    that takes no bytes, and for sound that is longer or louder than the keys of the driver allow.
     """
     view = preview(scene, board=board, keys=keys)
     model = view.runtime.model

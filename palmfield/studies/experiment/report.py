@@ -68,7 +68,7 @@ def report_of(
     spread: float | None = None,
     confidence: float = 0.95,
 ) -> Report:
-    """Return the report of an experiment's log, finished or not.
+    """Return the report of the log of an experiment, finished or not.
 
     shape, lapse, spread, confidence: of the fit (`palmfield.perception.psychometric.fit`); lapse and spread (dB if
         the scale is of ratios) are fitted if None
@@ -130,7 +130,9 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: d
 
 
 def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, float | None]:
-    """Return the threshold's interval in the varied key's unit; None for an end outside the allowed levels."""
+    """Return the interval of the threshold in the unit of the varied key; None for an end outside the allowed
+    levels.
+    """
     assert one.fit is not None
     low, high = (design.varied.level(end) for end in one.fit.threshold_interval)
     least, most = design.playable()
@@ -145,7 +147,7 @@ def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, flo
 
 
 def threshold_of(design: Design, one: ConditionReport) -> tuple[float | None, str]:
-    """Return the threshold in the varied key's unit, and in words; None if it is outside the allowed levels."""
+    """Return the threshold in the unit of the varied key, and in words; None if it is outside the allowed levels."""
     assert one.fit is not None
     (least, most), level = design.playable(), design.varied.level(one.fit.threshold)
     if least <= level <= most:

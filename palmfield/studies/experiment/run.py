@@ -110,7 +110,7 @@ def _warnings_once() -> Iterator[None]:
 
 
 def _checked(design: Design, experiment: Path, scene: Path, board: str | None, condition: int) -> Preview:
-    """Return the scene at a condition's first level, and check its reference level too."""
+    """Return the scene at the first level of a condition, and check its reference level too."""
     first = design.procedure_of(0, condition).next_level([])
     assert first is not None
     levels = [first, design.varied.reference] if design.task.kind == "nafc" else [first]

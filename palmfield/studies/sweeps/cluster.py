@@ -105,7 +105,7 @@ def remote_cluster(address: str) -> Iterator[Any]:
 def slots(client: Any, scene: Path) -> list[Slot]:
     """Return the threads of all workers, and check that each worker has this palmfield and can read the scene.
 
-    Raises PalmfieldError with the worker's name if the check fails.
+    Raises PalmfieldError with the name of the worker if the check fails.
     """
     own = cache.code_mark()
     try:
@@ -134,7 +134,7 @@ def slots(client: Any, scene: Path) -> list[Slot]:
 
 
 def worker_facts(scene: str) -> dict[str, Any]:
-    """Return a worker's digest of the code, whether it can read the scene, its host and number of cores."""
+    """Return the digest of the code on a worker, whether it can read the scene, its host and number of cores."""
     import platform
 
     return {"mark": cache.code_mark(), "sees": Path(scene).is_file(), "host": platform.node(), "cores": cores()}

@@ -76,7 +76,7 @@ class Design:
 def grid(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
     """Return every combination of the keys' values, the last key fastest.
 
-    values: by key; of a vector's key a sequence of tuples or an array of shape (n, m)
+    values: by key; for the key of a vector, a sequence of tuples or an array of shape (n, m)
     Raises SceneError without keys, for a key without values or with equal values, and for more points than MOST_POINTS.
     """
     if not values:

@@ -158,7 +158,7 @@ def _looked_at(points: Mapping[int, Mapping[str, Value]]) -> list[int]:
 
 
 def _demands(view: Preview, differing: Keys) -> list[LayerDemand] | None:
-    """Return the requirements of a point on each skin's layer; None for silence and invalid keys."""
+    """Return the requirements of a point on the layer of each skin; None for silence and invalid keys."""
     model = view.runtime.model
     by_instance: dict[str, dict[str, tuple[object, ...]]] = defaultdict(dict)
     for full, value in differing.items():

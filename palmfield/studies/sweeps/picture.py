@@ -138,7 +138,7 @@ def _points(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -
 
 
 def _curves(dataset: xr.Dataset, quantity: _Quantity) -> list[tuple[str, Float]]:
-    """Return label and values in the quantity's unit of each skin and observer, along the remaining dimensions."""
+    """Return label and values in the unit of the quantity of each skin and observer, along the remaining dimensions."""
     values = dataset[quantity.name]
     skins = [str(name) for name in dataset["skin"].values]
     curves = []
@@ -171,7 +171,7 @@ def _finite(values: xr.DataArray) -> bool:
 
 
 def _places(dataset: xr.Dataset, key: str) -> tuple[Float, list[str]]:
-    """Return the positions of a key's values on an axis, and their names if they are texts."""
+    """Return the positions of the values of a key on an axis, and their names if they are texts."""
     values = dataset[key].values
     if values.dtype.kind in "fiu":
         return values.astype(float), []

@@ -19,7 +19,7 @@ from palmfield.studies.sweeps.watch import Watched
 from palmfield.types import Float
 
 Numbers = dict[str, NDArray[Any]]
-"""Values by variable (`palmfield.studies.sweeps.variables`), without the design's dimensions."""
+"""Values by variable (`palmfield.studies.sweeps.variables`), without the dimensions of the design."""
 
 
 def sensor_names(scene: Simulation | Preview) -> list[str]:
@@ -106,7 +106,7 @@ def _by_observer(levels: dict[str, Any], key: str) -> Float:
 
 
 def _estimate(watched: Watched, world: int, number: int) -> tuple[float, str]:
-    """Return the relative error of a skin's displacement, or why there is none."""
+    """Return the relative error of the displacement of a skin, or why there is none."""
     loudest = watched.loudest[world][number]
     if loudest is None or not np.any(watched.motion[number][world, :, 0]):
         return math.nan, "no sound"

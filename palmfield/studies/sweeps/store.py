@@ -1,6 +1,6 @@
 """The dataset of a sweep on disk: one Zarr group readable by xarray, written point by point.
 
-The description of the sweep is written first. Each array's chunks are replaced whole (Zarr writes a new file and
+The description of the sweep is written first. The chunks of each array are replaced whole (Zarr writes a new file and
 renames it), and `status` comes last. So a point counts as done only when it is complete, even if a process was killed.
 """
 

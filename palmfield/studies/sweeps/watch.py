@@ -23,7 +23,7 @@ class Watched:
     motion: by skin, normal displacement [m] and velocity [m/s] in each world, shape (w, t, 2, S)
     arp: highest ARP at these times [Pa], shape (w, skins, t); peak_arp: maximum over time, shape (w, skins)
     loudest: the moments of highest ARP by world and skin, None in silence
-    forces: mean force of the sound on each skin's body in each step [N], world axes, shape (steps, w, skins, 3)
+    forces: mean force of the sound on the body of each skin in each step [N], world axes, shape (steps, w, skins, 3)
     sensors: normal displacement at all skins' sensors at the beginning of each step [m], shape (steps, w, sensors)
     """
 

@@ -111,7 +111,7 @@ def sweep(
     scheduler: address of a running Dask cluster, instead of workers; its workers must be able to read the scene
     device, accuracy: see `palmfield.load`; duration_s: of each point [s], that of the scene by default
     errors: whether the error of each point is estimated, which takes longer than most runs
-    picture: whether a picture is drawn; progress: whether a progress bar is shown on a terminal's standard error
+    picture: whether a picture is drawn; progress: whether a progress bar is shown on the standard error of a terminal
     yes: whether a sweep of more than 2 GB or an hour needs no confirmation; else `ask` is called with a question
     After Ctrl-C, a full disk or loss of workers the results so far are kept, and the same call continues. A failed
     point is recorded.

@@ -78,7 +78,7 @@ def measure_latency(
     rate_Hz: float = 90.0,
     by: By = "udp",
 ) -> Latency:
-    """Send the motion of a scene's hand from another process, and let a virtual board follow it.
+    """Send the motion of the hand of a scene from another process, and let a virtual board follow it.
 
     Samples carry their sending time on the clock that both processes share. Raises SceneError for a scene
     without a moving hand, DeviceError for a board without a line.

@@ -52,7 +52,7 @@ class Live:
         return tracker_frame(array, self.align, self.up)
 
     def keys(self, name: str, stream: Path, start_s: float) -> dict[str, object]:
-        """Return keys that make the instance `name` follow the tracker's samples."""
+        """Return keys that make the instance `name` follow the samples of the tracker."""
         own: dict[str, object] = dict.fromkeys(("keyframes", "trajectory", "function"))
         own |= {"tracking": str(stream.resolve()), "start_s": start_s, "follow": "exact", "tracking_origin_m": None}
         own["tracking_up"] = None if self.align is not None else self.up
@@ -65,7 +65,7 @@ class LivePlayed:
     """Result of a session in which a board followed a hand.
 
     motion: name of the scene's palmfield.motion; stream: valid samples in the tracker frame
-    start_s: the tracker's time 0 in the time of the trial [s]
+    start_s: time 0 of the tracker, in the time of the trial [s]
     notes: on the samples (with the first invalid ones), on the fit of the hand, and on silent frames
     times: when frames were due [s]
     """
@@ -131,7 +131,7 @@ def play_live(
                 posed_of[:] = [(newest, scene.posed(newest.pose))]
             posed = posed_of[0][1]
             focus = focus_in(model, number, posed, due_s)
-            # Use the tracker's clock until its offset to this machine's clock is measured
+            # Use the clock of the tracker until its offset to the clock of this machine is measured
             sample_s = newest.sample_s
             if follower.stale:
                 silenced += 1

@@ -26,7 +26,7 @@ MOST_AHEAD = 10_000
 class Tracker:
     """A tracker and the treatment of its samples.
 
-    rate_Hz: samples per second, 0 for one at each call; latency_s: from a sample's moment to its arrival [s]
+    rate_Hz: samples per second, 0 for one at each call; latency_s: from the moment of a sample to its arrival [s]
     noise_m: of each coordinate, standard deviation [m]; seed: of the noise
     ahead_s: extrapolation beyond the last sample [s], 0 for none; None: to the middle of the time for which the frame
         will sound
@@ -50,7 +50,7 @@ class Tracker:
 
 
 class EstimatedPose(NamedTuple):
-    """posed: estimated scene; sample_s: time of the last sample that has arrived [s]"""
+    """Pose from the tracker. posed: estimated scene; sample_s: time of the last sample that has arrived [s]"""
 
     posed: PosedScene
     sample_s: float

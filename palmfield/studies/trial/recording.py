@@ -38,7 +38,7 @@ FEWEST = 16
 
 @dataclass(frozen=True)
 class Recording:
-    """times: [s], shape (n,), rising; values: [Pa, m or m/s], shape (n,); place_m: array frame [m]"""
+    """A recording. times: [s], shape (n,), rising; values: [Pa, m or m/s], shape (n,); place_m: array frame [m]"""
 
     quantity: Quantity
     times: Float

@@ -202,7 +202,7 @@ def _followed(
 
 
 def _share(model: HapticModel, duration_s: float) -> Callable[[float], float]:
-    """Return the driver's ramp factor of all amplitudes at a time of the trial [s]."""
+    """Return the ramp factor of the driver for all amplitudes at a time of the trial [s]."""
     limits = SoundLimits.of(model.spec.driver)
     return lambda time_s: limits.share(model.board, time_s, duration_s)
 
@@ -324,7 +324,7 @@ ShowStage = Callable[[str | None, float | None], None]
 
 @contextmanager
 def _bar(show: bool) -> Iterator[ShowStage]:
-    """Show the present task and its progress on a terminal's standard error."""
+    """Show the present task and its progress on the standard error of a terminal."""
     with bars(show) as bar:
         task = bar.add_task("opening the scene", total=None)
 

@@ -87,7 +87,8 @@ class Sent:
     """Result of the sending of a trial.
 
     frames: those sent; due: number of due frames; emitted: drives with their start times, in the time of the trial [s]
-    late_s: largest delay of a frame's last byte on the line [s]; flags: errors reported by a virtual board, in words
+    late_s: largest delay of the last byte of a frame on the line [s]; flags: errors reported by a virtual board, in
+    words
     interrupted: whether Ctrl-C ended it early; end_s: time of the end [s]
     zero_s: time 0 of the trial on the clock of the sender [s]; notes: on the sending, in words
     """

@@ -90,7 +90,7 @@ def skin_response(
     sim = Simulation(scene, device="cpu", board=board, keys=keys)
     name = sim.skins[0]
     if not sim.runtime.model.skins[0].choice.solver.any_pose:
-        # A reduced model is valid only for the scene's own sound; modal models are valid for any
+        # A reduced model is valid only for the sound of the scene; modal models are valid for any
         sim = Simulation(scene, device="cpu", board=board, keys={**keys, f"{name}.solver": "modal"})
     sim.steps.play({0: PlayedEmission(sim.runtime.model, emitted)})
     part = sim.skin(name)

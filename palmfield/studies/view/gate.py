@@ -1,7 +1,7 @@
 """Gate in front of the server of the page: it checks clients, address and token.
 
-This gate listens at the page's address, reads the head of each connection, and forwards the allowed ones. viser itself
-serves every client at a local port, which a script of any page can find by trial. `only_for_gate` makes it
+This gate listens at the address of the page, reads the head of each connection, and forwards the allowed ones. viser
+itself serves every client at a local port, which a script of any page can find by trial. `only_for_gate` makes it
 serve only this gate, which sends a secret.
 """
 

@@ -104,7 +104,8 @@ class Moment(NamedTuple):
 
 
 class Level(NamedTuple):
-    """Level of a skin's last periods for an observer: level_dB above threshold, None if there is none; why: reason;
+    """Level of the last periods of a skin for an observer: level_dB above threshold, None if there is none; why:
+    reason;
     lines: frequency lines of the motion or force to which the level belongs."""
 
     observer: str
@@ -114,7 +115,7 @@ class Level(NamedTuple):
 
 
 class SkinReplay(NamedTuple):
-    """A skin's last periods. displacement along the outward normal [m] and arp [Pa]: (k, S) each
+    """The last periods of a skin. displacement along the outward normal [m] and arp [Pa]: (k, S) each
     rms: of the displacement about its mean [m], (S,); levels: by observer"""
 
     displacement: Float32

@@ -197,7 +197,7 @@ class Page:
                     self._put(self._sliders[place], value)
 
     def _put(self, handle: Any, value: float) -> None:
-        """Set a slider to the scene's value, which may be outside its range."""
+        """Set a slider to the value of the scene, which may be outside its range."""
         handle.min, handle.max = min(handle.min, value), max(handle.max, value)
         if handle.value != value:
             handle.value = value

@@ -62,7 +62,7 @@ def _of(name: str, config: StimulusConfig) -> list[Slider]:
 
 
 def value_of(slider: Slider, stimuli: Iterable[StimulusSpec]) -> float:
-    """Return the value of a key's slider, in its unit."""
+    """Return the value of the slider of a key, in its unit."""
     _, name, axis = slider.place
     instance, _, key = name.rpartition(".")
     value = next(getattr(one.config, key) for one in stimuli if one.name == instance)

@@ -390,7 +390,7 @@ def _small(
     shape_tolerance: float,
     beyond: bool,
 ) -> tuple[Reduced, Float, Float | None]:
-    """Return the model of a harmonic, which the course of the spot's pressure and angle does not change.
+    """Return the model of a harmonic, which does not depend on the course of pressure and angle of the spot.
 
     Also distances of the spot from the axis [m], and coordinates of its shapes there; None for one distance.
     """

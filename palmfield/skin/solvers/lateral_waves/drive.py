@@ -14,7 +14,7 @@ SAME = 1e-9
 
 @dataclass(frozen=True)
 class Timeline:
-    """edges: ends of the segments [s], shape (s + 1,); kind: number of each segment's duration [s], shape (s,)
+    """Segments of time. edges: their ends [s], shape (s + 1,); kind: number of each segment's duration [s], shape (s,)
     rows: place of the end of each segment among the requested times, or -1, shape (s,)
     """
 

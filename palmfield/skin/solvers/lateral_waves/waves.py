@@ -20,7 +20,7 @@ GRID_FROM = 64
 
 @dataclass(frozen=True)
 class WaveSet:
-    """modes: in depth, of each group of waves; group: of each wave, shape (n,); weights: shape (n,).
+    """A set of waves. modes: in depth, of each group of waves; group: of each wave, shape (n,); weights: shape (n,).
     vectors: k [rad/m], shape (n, 2), of plane waves; axial waves have (k, 0).
     centre: of axial waves [m], shape (2,); None for plane ones.
     """

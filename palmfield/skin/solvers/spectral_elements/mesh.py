@@ -53,7 +53,7 @@ CORE = 0.45
 
 @dataclass(frozen=True)
 class Plan:
-    """order: N; size_m: width of the elements under the load [m]; deep: elements through each sheet.
+    """Plan of a mesh. order: N; size_m: width of the elements under the load [m]; deep: elements through each sheet.
     watched_m: box around the path of the load and the requested points, along x and y, shape (2, 2).
     margin_m: from there to the start of the sponge of an endless body [m]. sponge_m: width of the sponge [m], or 0.
     """

@@ -36,7 +36,7 @@ def branch_step(step_s: float, time_s: float) -> tuple[float, float]:
 
 
 def lane_rows(elements: Int, layout: Layout, lanes: int) -> tuple[Int, Int]:
-    """Return the first row of each thread's nodes, (threads + 1,), and rows of one position a lane, flat.
+    """Return the first row of the nodes of each thread, (threads + 1,), and rows of one position a lane, flat.
 
     Lanes with fewer elements than the others point at a position of an element of padding, where the force is 0.
     """
