@@ -24,7 +24,7 @@ from palmfield.estimate.numerics.other_layers import (
     other_sides,
 )
 from palmfield.estimate.numerics.point_response import Response, course_change, solve_all
-from palmfield.session.loudest_moment import LoudestMoment, place_under_focus
+from palmfield.session.loudest_moment import LoudestMoment, at_full_level, place_under_focus
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.from_config import softest_and_stiffest_sheets
@@ -91,6 +91,9 @@ def error_estimate(
 
     The result is cached (`palmfield.cache`). Raises SceneError if no finer or coarser mesh of the layer can be made.
     """
+    if radiation.solution(skin) is None:
+        # A boundary-element solution holds for the drive of the run
+        loudest = at_full_level(loudest)
     layer, stepper = model.skins[skin].layer, model.begin[skin].value
     small = None if stepper.adds_error is None else stepper
     sound, point = LoudestSound(model, skin, loudest, radiation), place_under_focus(model, skin, loudest)
@@ -123,13 +126,12 @@ def error_estimate(
         *(place.obstacle_positions, place.obstacle_rotations),
         *(
             loudest.drive,
-            loudest.factor,
             sound.on_own,
             point,
             layer.demand,
             layer.sizes,
             course.left_small_model,
-            config,
+            config.model_copy(update={"drive_amplitude": None, "arp_peak_Pa": None}),
             lasted_s,
             materials,
             thorough,

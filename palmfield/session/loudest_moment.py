@@ -1,6 +1,6 @@
 """Describe the moment of the highest ARP on a skin, and its points."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,6 +9,9 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import frame_at
 from palmfield.types import Complex, Float
+
+DIGITS = 10
+"""Decimal places of a drive."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,15 @@ class LoudestMoment:
     posed: PosedScene
     drive: Complex
     factor: float
+
+
+def at_full_level(loudest: LoudestMoment) -> LoudestMoment:
+    """Return the moment with the loudest transducer at full drive: relative errors are equal at all levels.
+
+    The drive has no last digits, so that all levels give the same numbers.
+    """
+    drive = np.round(loudest.drive / (np.abs(loudest.drive).max() or 1.0), DIGITS)
+    return replace(loudest, drive=drive, factor=1.0)
 
 
 def nearest_focus(foci: Float, nodes: Float) -> Float:

@@ -1,11 +1,13 @@
 """Sheets, base and sides of a scene's skin layer, and its cut-off in the plan."""
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
+from palmfield import cache
 from palmfield.config import SkinConfig, parse
 from palmfield.errors import SceneError
 from palmfield.estimate.estimated_run import run
@@ -190,3 +192,25 @@ def test_foci_of_a_region_frequencies_of_a_band_and_levels_share_a_mesh(small_sc
     aside = mesh(focus_m=(0.034, 0.003, 0.12))
     assert aside.shape != middle.shape
     assert np.array_equal(mesh(focus_m=(0.036, -0.005, 0.12)), aside)
+
+
+def test_levels_and_frequencies_of_a_band_share_the_reduced_model_and_its_estimate(
+    small_scene, tmp_path, monkeypatch
+) -> None:
+    """A level adds no entry for either to the cache, a frequency only the estimate from the same models."""
+    monkeypatch.setenv("PALMFIELD_CACHE", str(tmp_path / "cache"))
+    path = small_scene(stimulus={"am_frequency_Hz": 180.0}, skin={"solver": "reduced"})
+    seen: Counter[str] = Counter()
+
+    def added(**changed: Any) -> Counter[str]:
+        keys = {f"stimulus.{key}": value for key, value in changed.items()}
+        run(load(path, keys=keys), plots=[], duration_s=0.02)
+        now = Counter(entry.kind for entry in cache.entries() if "model" in entry.kind or "estimate" in entry.kind)
+        new = now - seen
+        seen.update(new)
+        return new
+
+    assert {"small-model", "point-model", "error-estimate"} <= set(added())
+    assert not added(drive_amplitude=0.3)
+    assert added(am_frequency_Hz=160.0) == {"error-estimate": 1}
+    assert "small-model" in added(am_frequency_Hz=300.0)

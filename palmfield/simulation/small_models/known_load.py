@@ -204,6 +204,8 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     config, layer = stimulus.config, model.skins[skin].layer
     operator = layer.quadrature.operator
     start, step = config.start_s, layer.sizes.step_s
+    if one_shape(stimulus):
+        config = at_end_of_band(config, layer.demand.max_frequency_Hz)
     turn = period_s(config) or 0.0
     trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1, dtype=np.float64)
     if one_shape(stimulus):
@@ -211,7 +213,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
         drive = array_drives(model, posed.arrays)[number].unit_drive(stimulus.reference_foci, loudness)
         pressures = radiation.many(posed, skin, _at_full_level(drive.amplitudes[None])[0])
         shape: Float = operator @ pressures.T
-        lines = [0.0, layer.demand.main_frequency_Hz, *main_frequencies(config)]
+        lines = [0.0, *(main_frequencies(config) or [layer.demand.main_frequency_Hz])]
         spectrum: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
         return KnownLoad(shape, shape, [frames_at(config, start + trial)[1][:, None]], spectrum), pressures
     count = samples(config, turn, layer.demand.max_frequency_Hz)
@@ -257,6 +259,17 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     shapes = np.column_stack([course.shapes, impulse])
     shares = [np.column_stack([part, np.zeros(len(trial))]) for part in trials]
     return KnownLoad(course, shapes, shares, spectrum), examples
+
+
+def at_end_of_band(config: StimulusConfig, highest_Hz: float) -> StimulusConfig:
+    """Return a stimulus with its modulation at the highest frequency of the band.
+
+    All frequencies of the band then share the model of a load with a constant shape. highest_Hz: of mesh and step.
+    """
+    if config.modulation == "none" or config.am_frequency_Hz is None or config.am_waveform == "burst":
+        return config
+    highest = round(config.am_frequency_Hz * highest_Hz / max(main_frequencies(config)), DIGITS)
+    return config.model_copy(update={"am_frequency_Hz": highest})
 
 
 def _settling_s(stimulus: StimulusModel) -> float:
