@@ -20,7 +20,7 @@ from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS, board_of
 from palmfield.drive.transducer_response import TransducerResponse, transducer_response
 from palmfield.errors import SceneError, naming
-from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
+from palmfield.hand.meshquery import barycentric, closest_faces
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.locked import Lazy
@@ -507,7 +507,7 @@ def _on_skin(body: BodyModel, point: Float) -> Float:
     if surface is None:
         return np.array([*point[:2], 0.0])
     reach = float(np.linalg.norm(surface.vertices - point, axis=1).min()) * 1.01 + 1e-6
-    face = int(closest_faces(build_mesh(surface.vertices, surface.faces), point[None], reach)[0])
+    face = int(closest_faces(body.query_mesh, point[None], reach)[0])
     corners = surface.vertices[surface.faces[face]]
     nearest: Float = barycentric(corners[None], point[None])[0] @ corners
     return nearest

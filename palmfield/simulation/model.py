@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # loads its parts at first use
+import warp as wp
 from scipy import sparse
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
@@ -18,6 +19,7 @@ from palmfield.config import StimulusConfig
 from palmfield.drive.board import Board
 from palmfield.drive.transducer_response import TransducerResponse
 from palmfield.hand.force_samples import BY_DEFAULT, SampleMesh, sample_count, sample_mesh
+from palmfield.hand.meshquery import build_mesh
 from palmfield.hand.subdivide import sampling_surface
 from palmfield.hand.triangles import face_normals, face_samples
 from palmfield.locked import Lazy, locked_cached_property
@@ -94,6 +96,12 @@ class BodyModel:
     def parts(self) -> int:
         """Return the number of MuJoCo bodies that the sound pushes: the bones, or one."""
         return max(1, len(self.rest_origins))
+
+    @locked_cached_property
+    def query_mesh(self) -> wp.Mesh:
+        """Return the resting surface for queries of nearest faces. Not for a disc."""
+        assert self.surface is not None
+        return build_mesh(self.surface.vertices, self.surface.faces)
 
     @locked_cached_property
     def sample_mesh(self) -> SampleMesh:

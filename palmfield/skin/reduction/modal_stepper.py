@@ -6,8 +6,9 @@ are then the eigenvectors of the matrix that a substep solves with, and what cou
 all before the substep, one dense product for each law but one. The pressure is evaluated at few points of the skin.
 """
 
+import weakref
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any
 
@@ -52,12 +53,14 @@ class ModalBody:
 
     modes: see RitzModes; shapes: of the class; forces: of each shape on each mode, shape (m, r)
     compliance: the energy norm of a pressure at the shapes' points is that of pressure @ compliance, shape (p, k)
+    readers: those of all steppers, with their operators, because each is a product of all modes
     """
 
     modes: RitzModes
     shapes: LoadShapes
     forces: Float
     compliance: Float
+    readers: list[tuple[weakref.ref[sparse.csr_matrix], Reader]] = field(default_factory=list, repr=False)
 
 
 def modal_body(
@@ -117,8 +120,8 @@ def modal_body(
 
     options = tolerance, blocks, omitted, points, step_s
     stored = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, *options), make)
-    modes = RitzModes(**{field.name: stored[field.name] for field in fields(RitzModes)})
-    shapes = LoadShapes(**{field.name: stored[field.name] for field in fields(LoadShapes)})
+    modes = RitzModes(**{one.name: stored[one.name] for one in fields(RitzModes)})
+    shapes = LoadShapes(**{one.name: stored[one.name] for one in fields(LoadShapes)})
     return ModalBody(modes, shapes, stored["forces"], stored["compliance"])
 
 
@@ -279,12 +282,18 @@ class ModalStepper(SkinStepper):
         return Outside(self._hidden * outside, whole, self._hidden * plain, plain_whole)
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
+        for known, made in self.body.readers:
+            if known() is operator:
+                return made
         matrix = checked_operator(operator, self.unknowns)
         seen = np.zeros((self.padded, matrix.shape[0]))
         # Only the unknowns that the reader uses, because the product copies them in double precision
         read = np.unique(matrix.indices)
         seen[: self.order] = (matrix[:, read] @ self.body.modes.vectors[read]).T
-        return Reader(matrix.shape[0], seen, seen.astype(np.float32))
+        made = Reader(matrix.shape[0], seen, seen.astype(np.float32))
+        present = [one for one in self.body.readers if one[0]() is not None]
+        self.body.readers[:] = [*present, (weakref.ref(operator), made)]
+        return made
 
     def read(self, state: Float, reader: Reader) -> Float:
         rows = state.reshape(len(state), self.state_rows, self.padded)

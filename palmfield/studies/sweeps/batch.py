@@ -125,10 +125,16 @@ def _worlds(task: Task, base: Keys, shared: Shared, points: Sequence[Point]) -> 
         values = [point.differing[full] for point in points]
         vector = axes_of(StimulusConfig, full.rpartition(".")[2]) > 0
         keys[full] = [tuple(as_text(value).split()) for value in values] if vector else values
-    worlds = open_worlds(
+    name, worlds = open_worlds(
         task.scene, len(points), device=task.device, accuracy=task.accuracy, keys=keys, base=base, shared=shared
     )
-    return Simulation.of_worlds(*worlds)
+    if shared.modal and task.threads is not None:
+        # Other workers of the group wait for the same modes
+        threads.limit(None)
+        for begin in worlds.models[0].begin:
+            begin.value  # noqa: B018
+        threads.limit(task.threads)
+    return Simulation.of_worlds(name, worlds)
 
 
 def batches(
