@@ -1,5 +1,9 @@
 """`palmfield plan`: report what a run would model."""
 
+from typing import Annotated
+
+import typer
+
 from palmfield.cli import options
 from palmfield.cli.as_json import print_json
 
@@ -11,6 +15,7 @@ def plan(
     accuracy: options.Accuracy = None,
     board: options.BoardName = None,
     keys: options.Keys = None,
+    details: Annotated[bool, typer.Option("--details", help="print all decisions with their reasons")] = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Report modelled and ignored effects, with reasons, expected time and error, without simulation.
@@ -26,4 +31,4 @@ def plan(
     if as_json:
         print_json(made.as_dict())
     else:
-        print(made, end="")
+        print(made if details else made.short(), end="")

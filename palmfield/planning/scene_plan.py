@@ -11,6 +11,7 @@ from palmfield.planning.costs import run_s
 from palmfield.planning.expected_error import expected_errors
 from palmfield.planning.modelled import modelled
 from palmfield.planning.numbers import plan_numbers
+from palmfield.planning.preparing import preparing_rows
 from palmfield.planning.rows import Row, merged
 from palmfield.planning.unmodelled import effects_on_skin, other_effects
 from palmfield.session.duration import check_duration
@@ -21,6 +22,10 @@ from palmfield.session.simulation import Simulation
 __all__ = ["Plan", "Row", "plan", "warnings"]
 WIDTH = 130
 """Width of the tables in columns, unless the terminal is narrower."""
+NOT_ESTIMATED = "not estimated"
+"""Size of an ignored effect whose bias is unknown, see `palmfield.estimate.bias.Bias`."""
+SHORT = ("sound field", "modulation", "sending", "skin layer", "elements", "error estimate", "preparing")
+"""Modelled effects in the short table, with the solver of each skin."""
 
 
 def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[str], seconds: float) -> str:
@@ -70,6 +75,20 @@ class Plan:
             **self.numbers,
         }
 
+    def short(self) -> str:
+        """Return the main decisions as a table without reasons, about 20 lines for one skin, and the warnings."""
+        shown = [row for row in self.modelled if row.what in SHORT or row.what.startswith("skin solver")]
+        rows = [(name, row.size) for name, row in zip(_names(shown), shown, strict=True)]
+        left = [row for row in self.left_out if row.size != NOT_ESTIMATED]
+        missing = [row.what for row in (*self.left_out, *self.besides) if row.size == NOT_ESTIMATED]
+        rows.append(("not modelled, bias", _in_line(left) or "none"))
+        if missing:
+            rows.append((f"bias {NOT_ESTIMATED}", ", ".join(dict.fromkeys(missing))))
+        rows.append(("expected error", _in_line(self.error)))
+        begin = f"Plan for {self.scene}. Expected time on two CPU cores: {self.seconds:.0f} s. Reasons: --details"
+        grid = terminal.table(rows)
+        return terminal.printed(begin, grid, *(f"Warning: {warning}" for warning in self.warnings), most=WIDTH)
+
     def __str__(self) -> str:
         return as_text(
             self.scene,
@@ -82,6 +101,16 @@ class Plan:
             self.warnings,
             self.seconds,
         )
+
+
+def _names(rows: Sequence[Row]) -> list[str]:
+    """Return the names of rows, with their instances where names are equal."""
+    names = [row.what for row in rows]
+    return [row.what if names.count(row.what) == 1 else f"{row.what}, {row.instance}" for row in rows]
+
+
+def _in_line(rows: Sequence[Row]) -> str:
+    return "; ".join(f"{name} {row.size}" for name, row in zip(_names(rows), rows, strict=True))
 
 
 def plan(
@@ -107,7 +136,7 @@ def plan(
     model = view.runtime.model
     return Plan(
         view.name,
-        merged(modelled(model, view.duration_s, view.runtime.feedback)),
+        merged([*modelled(model, view.duration_s, view.runtime.feedback), *preparing_rows(model)]),
         merged(effects_on_skin(model)),
         merged(other_effects(model)),
         merged(expected_errors(model)),
