@@ -23,13 +23,13 @@ SCENES = ("palm_circle", "phantom_stm70", "palm_am200", "stroke_palm", "approach
 WORKER = """
 import sys, time
 from palmfield.outputs.store import MemoryStore
-from palmfield.session.recorded_run import known_before, recorder_of, result_attributes
+from palmfield.session.recorded_run import initial_block, recorder_of, result_attributes
 from palmfield.session.simulation import Simulation
 sim = Simulation(f"mjcf/scenes/{sys.argv[1]}.xml", device=sys.argv[2] or None)
 for line in sys.stdin:
     steps, *together = map(int, line.split())
     sim.reset()
-    recorder = recorder_of(sim, MemoryStore(known_before(sim), result_attributes(sim)), *together)
+    recorder = recorder_of(sim, MemoryStore(initial_block(sim), result_attributes(sim)), *together)
     recorder.end_s = steps * sim.model.opt.timestep
     recorder.start()
     wall, processor = time.perf_counter(), time.process_time()
