@@ -27,7 +27,7 @@ from pydantic import BaseModel
 from scipy import sparse
 
 from palmfield.errors import PalmfieldError, reason_of
-from palmfield.input_files import regular
+from palmfield.files import regular
 from palmfield.phases import phase
 
 LIMIT_MB = 2048
@@ -38,7 +38,7 @@ MARKS = "palmfield_marks"
 """Array in a file with the digest of the inputs and that of the other arrays."""
 Arrays = dict[str, NDArray[Any]]
 
-_said: set[str] = set()
+_warned: set[str] = set()
 
 
 class Entry(NamedTuple):
@@ -95,7 +95,7 @@ def kept(
         lock = filelock.FileLock(path.with_suffix(".lock"), timeout=WAIT_S)
         lock.acquire()
     except (OSError, NotImplementedError, filelock.Timeout) as error:
-        _say(f"cache folder {where}: {reason_of(error)}; continuing without a cache")
+        _warn(f"cache folder {where}: {reason_of(error)}; continuing without a cache")
         return work()
     try:
         answer = phase("cache")(_read)(path, key)
@@ -226,7 +226,7 @@ def _read(path: Path, key: str) -> Arrays | None:
     except FileNotFoundError:
         return None
     except Exception as error:  # NumPy, zipfile and zlib raise nearly any kind on a damaged archive
-        _say(f"cache file {path} is damaged ({reason_of(error)}): its content is recomputed")
+        _warn(f"cache file {path} is damaged ({reason_of(error)}): its content is recomputed")
         return None
     return answer
 
@@ -242,7 +242,7 @@ def _write(path: Path, key: str, answer: Arrays) -> None:
             aside.unlink(missing_ok=True)
         _make_room(path)
     except OSError as error:
-        _say(f"cache folder {path.parent}: {reason_of(error)}; continuing without a cache")
+        _warn(f"cache folder {path.parent}: {reason_of(error)}; continuing without a cache")
 
 
 def _make_room(newest: Path) -> None:
@@ -252,7 +252,9 @@ def _make_room(newest: Path) -> None:
         total += entry.size_bytes
         if total > limit:
             if entry.path == newest:
-                _say(f"cache: {newest.name} takes {entry.size_bytes / 1e6:.0f} MB, more than PALMFIELD_CACHE_MB allows")
+                _warn(
+                    f"cache: {newest.name} takes {entry.size_bytes / 1e6:.0f} MB, more than PALMFIELD_CACHE_MB allows"
+                )
             entry.path.unlink(missing_ok=True)
             entry.path.with_suffix(".lock").unlink(missing_ok=True)
     for part in newest.parent.glob("*.part"):
@@ -263,8 +265,8 @@ def _make_room(newest: Path) -> None:
             continue  # another process has just removed it
 
 
-def _say(text: str) -> None:
+def _warn(text: str) -> None:
     """Log a warning, once per process."""
-    if text not in _said:
-        _said.add(text)
+    if text not in _warned:
+        _warned.add(text)
         warnings.warn(text, RuntimeWarning, stacklevel=3)

@@ -61,13 +61,13 @@ def _start() -> None:
     wp.config.log_level = wp.LOG_WARNING
     if wp.config.kernel_cache_dir is None:
         _kernels_folder()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     try:
         wp.init()
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(saved, 2)
+        os.close(saved)
         os.close(nowhere)
 
 

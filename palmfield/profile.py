@@ -48,7 +48,7 @@ class Times:
 
 
 @dataclass
-class Held:
+class Memory:
     """Arrays of one kind: present size and largest size [bytes], and number made."""
 
     now_bytes: int = 0
@@ -76,19 +76,19 @@ class Profile:
 
     phases: Times by the names of a phase and its enclosing phases, outermost first. A phase in another thread
     belongs to the outermost phase of the measured thread.
-    held: Held by kind of arrays.
+    memory: Memory by kind of arrays.
     """
 
     def __init__(self) -> None:
         self.phases: dict[tuple[str, ...], Times] = {(BEFORE,): Times(time.process_time(), 0.0, 0.0, 1, peak_bytes())}
-        self.held: dict[str, Held] = {}
+        self.memory: dict[str, Memory] = {}
         # A finalizer may run while this thread has the lock
         self._lock = threading.RLock()
         self._main, self._number = _Thread((), [], 0.0), threading.get_ident()
         self._others: dict[int, _Thread] = {}
         self._begun = self._wall = time.perf_counter()
         self._cpu = time.process_time()
-        self._known: set[int] = set()
+        self._counted: set[int] = set()
 
     @property
     def total(self) -> Times:
@@ -136,19 +136,19 @@ class Profile:
     def count(self, kind: str, thing: object) -> None:
         """Count the arrays of an object, each once, until they are freed."""
         with self._lock:
-            held = self.held.setdefault(kind, Held())
-            held.count += 1
+            memory = self.memory.setdefault(kind, Memory())
+            memory.count += 1
             for array in arrays_of(thing):
-                if id(array) not in self._known:
-                    self._known.add(id(array))
-                    held.now_bytes += array.nbytes
-                    weakref.finalize(array, self._freed, held, id(array), array.nbytes).atexit = False
-            held.most_bytes = max(held.most_bytes, held.now_bytes)
+                if id(array) not in self._counted:
+                    self._counted.add(id(array))
+                    memory.now_bytes += array.nbytes
+                    weakref.finalize(array, self._freed, memory, id(array), array.nbytes).atexit = False
+            memory.most_bytes = max(memory.most_bytes, memory.now_bytes)
 
-    def _freed(self, held: Held, number: int, size: int) -> None:
+    def _freed(self, memory: Memory, number: int, size: int) -> None:
         with self._lock:
-            self._known.discard(number)
-            held.now_bytes -= size
+            self._counted.discard(number)
+            memory.now_bytes -= size
 
     def __str__(self) -> str:
         self.update()
@@ -166,7 +166,7 @@ class Profile:
         ]  # fmt: skip
         arrays = [
             (kind, f"{one.most_bytes / mebi:.1f}", f"{one.now_bytes / mebi:.1f}", f"{one.count}")
-            for kind, one in self.held.items()
+            for kind, one in self.memory.items()
             if one.most_bytes >= LEAST_BYTES
         ]
         heads = ("phase", "CPU [s]", "wall [s]", "in parallel [s]", "calls", "peak RSS [MiB]")
@@ -186,7 +186,7 @@ def measured() -> Iterator[Profile]:
         profile.update()
 
 
-def holds(name: str, thing: object) -> None:
+def count_arrays(name: str, thing: object) -> None:
     """Count the arrays to which an object refers, under a name, until they are freed."""
     if running:
         running[-1].count(name, thing)

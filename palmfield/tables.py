@@ -11,9 +11,8 @@ from zipfile import BadZipFile, is_zipfile
 import numpy as np
 
 from palmfield.errors import OutputError, PalmfieldError, SceneError, reason_of
-from palmfield.input_files import regular
+from palmfield.files import regular, whole, writing
 from palmfield.types import Float
-from palmfield.whole_files import whole, writing
 
 UNREADABLE = (OSError, EOFError, ValueError, NotImplementedError, MemoryError, BadZipFile, zlib.error, csv.Error)
 """Errors of open, csv, zipfile and NumPy for a damaged file; for undecodable text ValueError."""

@@ -58,8 +58,8 @@ class TimeLeft(TimeRemainingColumn):
 
     def render(self, task: Task) -> Text:
         """Return the text for one task; after the expected time, that of rich."""
-        left = task.fields.get("expected_s", 0.0) - (task.elapsed or 0.0)
-        return super().render(task) if task.total is not None or left <= 0.0 else Text(f"about {left:.0f} s left")
+        rest = task.fields.get("expected_s", 0.0) - (task.elapsed or 0.0)
+        return super().render(task) if task.total is not None or rest <= 0.0 else Text(f"about {rest:.0f} s left")
 
 
 def bars(show: bool = True, *more: ProgressColumn) -> Progress:

@@ -66,9 +66,9 @@ class Placement(NamedTuple):
         return Placement(tuple(transform.position.tolist()), tuple(transform.rotation.ravel().tolist()), sites)
 
 
-def relative(seen_from: Transform, pose: Transform) -> Transform:
+def relative(frame: Transform, pose: Transform) -> Transform:
     """Return a frame relative to another; both are given in one outer frame."""
-    return Transform(seen_from.rotation.T @ (pose.position - seen_from.position), seen_from.rotation.T @ pose.rotation)
+    return Transform(frame.rotation.T @ (pose.position - frame.position), frame.rotation.T @ pose.rotation)
 
 
 def rotation_matrix(quaternion: Float) -> Float:

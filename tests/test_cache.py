@@ -28,7 +28,7 @@ from palmfield.simulation import build
 def place(tmp_path, monkeypatch):
     folder = tmp_path / "kept"
     monkeypatch.setenv("PALMFIELD_CACHE", str(folder))
-    monkeypatch.setattr(cache, "_said", set())
+    monkeypatch.setattr(cache, "_warned", set())
     return folder
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import palmfield.cli.app as program
 from palmfield.phases import phase
-from palmfield.profile import BEFORE, ELSEWHERE, holds, measured
+from palmfield.profile import BEFORE, ELSEWHERE, count_arrays, measured
 
 
 def work(seconds):
@@ -24,8 +24,8 @@ def test_nothing_is_counted_outside_a_measurement():
     with measured() as profile:
         pass
     with phase("late"):
-        holds("late", np.ones(2**20))
-    assert set(profile.phases) == {(BEFORE,)} and not profile.held
+        count_arrays("late", np.ones(2**20))
+    assert set(profile.phases) == {(BEFORE,)} and not profile.memory
 
 
 def test_phases_hold_those_inside_them():
@@ -96,11 +96,11 @@ def test_arrays_count_once_and_until_they_are_freed():
     with measured() as profile:
         things = [{"of": [shared, shared[:10]], "call": lambda: shared}, (shared, np.ones(2**17))]
         for thing in things:
-            holds("things", thing)
-        held = profile.held["things"]
+            count_arrays("things", thing)
+        held = profile.memory["things"]
         assert held.now_bytes == held.most_bytes == 3 * 2**20 and held.count == 2
-        assert phase("made")(np.zeros)(2**17).nbytes == profile.held["made"].most_bytes == 2**20
-        assert profile.held["made"].now_bytes == 0
+        assert phase("made")(np.zeros)(2**17).nbytes == profile.memory["made"].most_bytes == 2**20
+        assert profile.memory["made"].now_bytes == 0
         gone = weakref.ref(things[1][1])
         del things, thing
         assert gone() is None and held.now_bytes == 2 * 2**20 and held.most_bytes == 3 * 2**20

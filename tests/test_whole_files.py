@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from palmfield.errors import OutputError
+from palmfield.files import whole
 from palmfield.tables import write_table
-from palmfield.whole_files import whole
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])

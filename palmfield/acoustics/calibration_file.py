@@ -13,9 +13,8 @@ from palmfield.acoustics.arrays import LAYOUTS, layout_of_version
 from palmfield.acoustics.placement import placed
 from palmfield.config.base import NonNegative, Positive
 from palmfield.errors import SceneError, naming
-from palmfield.input_files import MOST_SETTINGS_BYTES, read_bytes, reading
+from palmfield.files import MOST_SETTINGS_BYTES, read_bytes, reading, write_text
 from palmfield.types import Array, Complex, Estimate
-from palmfield.whole_files import write_text
 
 Place = tuple[float, float, float]
 

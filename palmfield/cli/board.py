@@ -8,7 +8,7 @@ import typer
 
 from palmfield.cli.boards import describe
 from palmfield.errors import DeviceError, refuse_unknown
-from palmfield.whole_files import writing
+from palmfield.files import writing
 
 
 def board(

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from palmfield.errors import SceneError
-from palmfield.whole_files import write_text
+from palmfield.files import write_text
 
 
 def hand(

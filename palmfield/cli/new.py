@@ -8,7 +8,7 @@ import typer
 
 from palmfield.data import folder
 from palmfield.errors import OutputError, SceneError
-from palmfield.whole_files import made_folder, write_text
+from palmfield.files import made_folder, write_text
 
 ARRAY, HAND = "arrays/uhev1.xml", "hands/open_men_p50.xml"
 

@@ -9,7 +9,7 @@ import typer
 from palmfield.cli.as_json import print_json
 from palmfield.cli.options import AsJson
 from palmfield.errors import OutputError, SceneError, refuse_unknown
-from palmfield.whole_files import made_folder
+from palmfield.files import made_folder
 
 if TYPE_CHECKING:
     from palmfield.outputs.pictures.options import Options

@@ -8,7 +8,7 @@ import typer
 from palmfield.cli.as_json import print_json
 from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, parsed_keys
 from palmfield.errors import OutputError
-from palmfield.whole_files import made_folder, write_text
+from palmfield.files import made_folder, write_text
 
 
 def safety(

@@ -9,7 +9,7 @@ import typer
 from palmfield.cli.as_json import print_json
 from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, parsed_keys
 from palmfield.errors import SceneError
-from palmfield.input_files import reading, regular
+from palmfield.files import reading, regular
 
 if TYPE_CHECKING:
     from palmfield.studies.trial import Live

@@ -24,9 +24,8 @@ from palmfield.drive.board import Board
 from palmfield.drive.boards import board_of
 from palmfield.drive.log_lines import log_line
 from palmfield.errors import SceneError
-from palmfield.input_files import plain, read_text, reading, regular
+from palmfield.files import plain, read_text, reading, regular, writing
 from palmfield.types import Air, Array, Complex, Float
-from palmfield.whole_files import writing
 
 VERSION = 1
 

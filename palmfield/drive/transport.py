@@ -13,7 +13,7 @@ import serial
 from serial.tools.list_ports import comports
 
 from palmfield.errors import DeviceError, OutputError, unwritable
-from palmfield.whole_files import writing
+from palmfield.files import writing
 
 WRITE_TIMEOUT_S = 0.25
 TIMEOUTS_BEFORE_LOST = 8

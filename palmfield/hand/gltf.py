@@ -11,8 +11,8 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError, reason_of
+from palmfield.files import plain, read_bytes
 from palmfield.hand.rigged import Joints, SkinRig
-from palmfield.input_files import plain, read_bytes
 from palmfield.types import Float, Int
 
 TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}

@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from palmfield.errors import SceneError, reason_of
+from palmfield.files import read_bytes, regular
 from palmfield.hand.chirality import fingertips, way_from_wrist
 from palmfield.hand.holes import plane_axes
 from palmfield.hand.joint_tree import joined
@@ -19,7 +20,6 @@ from palmfield.hand.rigged import RiggedMesh, SkinRig, scaled, strongest
 from palmfield.hand.subdivide import split_long_edges
 from palmfield.hand.triangles import edge_lengths, vertex_normals
 from palmfield.hand.units import DIGITS, Unit, choose_unit
-from palmfield.input_files import read_bytes, regular
 from palmfield.types import Float, Int, Surface
 
 PLAIN, GLTF, MANO = (".obj", ".ply", ".stl"), (".glb", ".gltf"), (".pkl",)

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from palmfield.data import folder
 from palmfield.errors import SceneError, did_you_mean, fault_of
-from palmfield.input_files import read_toml
+from palmfield.files import read_toml
 
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 Length = Annotated[float, Field(gt=0.0, lt=1.0)]

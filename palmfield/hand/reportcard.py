@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
+from palmfield.files import write_text
 from palmfield.hand.chirality import Chirality, chirality
 from palmfield.hand.holes import plane_axes
 from palmfield.hand.joint_tree import named_side
@@ -31,7 +32,6 @@ from palmfield.hand.triangles import (
 from palmfield.hand.units import DIGITS, size_of_a_hand
 from palmfield.hand.wholelayer import hand_layer, percentile
 from palmfield.types import Float, Int, Surface
-from palmfield.whole_files import write_text
 
 VERDICTS = ("accepted", "accepted with doubts", "refused")
 HAND_SIZES = "hands are 130 to 260 mm long, forearms with a hand 360 to 560"

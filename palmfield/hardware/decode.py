@@ -17,10 +17,9 @@ from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
 from palmfield.errors import SceneError
+from palmfield.files import read_bytes, reading, whole, writing
 from palmfield.hardware.focus_board import array_named
-from palmfield.input_files import read_bytes, reading
 from palmfield.types import Float
-from palmfield.whole_files import whole, writing
 
 FREQUENCY_HZ = 40e3
 GOOD_RAD = 1.0

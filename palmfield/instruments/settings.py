@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.config.base import allowed
 from palmfield.errors import MeasurementError, did_you_mean, naming
-from palmfield.input_files import read_toml, reading
+from palmfield.files import read_toml, reading
 
 Vector3 = Annotated[tuple[float, float, float], Field()]
 

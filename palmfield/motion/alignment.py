@@ -9,11 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError, fault_of
-from palmfield.input_files import MOST_SETTINGS_BYTES, read_bytes, reading
+from palmfield.files import MOST_SETTINGS_BYTES, read_bytes, reading, write_text
 from palmfield.tables import pop_columns, read_table
 from palmfield.transforms import Transform
 from palmfield.types import Float
-from palmfield.whole_files import write_text
 
 COLUMNS = tuple(f"{frame}_{axis}_m" for frame in ("array", "tracker") for axis in "xyz")
 FEWEST = 3

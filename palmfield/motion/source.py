@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.config import MotionConfig
 from palmfield.errors import SceneError, naming
+from palmfield.files import read_toml, reading
 from palmfield.hand.articulated import ArticulatedHand, articulate, checked_angles
 from palmfield.hand.poses import named_pose, posed_surface
 from palmfield.hand.preset import HandPreset, load_preset
 from palmfield.hand.skinning import SkinnedHand
-from palmfield.input_files import read_toml, reading
 from palmfield.motion.alignment import read_alignment
 from palmfield.motion.keyframes import keyframes
 from palmfield.motion.pose import HandPose, numbers

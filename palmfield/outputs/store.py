@@ -20,6 +20,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from palmfield.errors import OutputError, reason_of, unwritable
+from palmfield.files import writing
 from palmfield.interrupts import interrupts_delayed
 from palmfield.outputs.netcdf import (
     UNREADABLE,
@@ -43,7 +44,6 @@ from palmfield.outputs.schema import (
     variables_of,
 )
 from palmfield.types import json_value
-from palmfield.whole_files import writing
 
 RESULT = "result.nc"
 DERIVED = ("summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc", "scene.partial.usdc")

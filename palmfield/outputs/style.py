@@ -9,8 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError
+from palmfield.files import whole, writing
 from palmfield.types import Float
-from palmfield.whole_files import whole, writing
 
 RC: Any = {
     "font.family": "DejaVu Sans",

@@ -25,7 +25,7 @@ from palmfield.outputs.store import MemoryStore, Store, finished_result, open_re
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
 from palmfield.phases import phase
-from palmfield.profile import holds, peak_bytes
+from palmfield.profile import count_arrays, peak_bytes
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.mujoco_scene import body_poses
 from palmfield.session.open_scene import Source
@@ -309,7 +309,7 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
             finally:
                 with phase("recording"):
                     recorder.stop()
-                holds("fields and loads", sim.runtime.work)
+                count_arrays("fields and loads", sim.runtime.work)
     except (KeyboardInterrupt, Exception) as error:
         return error
     LOG.debug("%d steps took %.2f s", steps, time.perf_counter() - started)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from palmfield.errors import SceneError, did_you_mean
-from palmfield.input_files import read_bytes, reading, regular
+from palmfield.files import read_bytes, reading, regular
 
 ROOTS = ("mujoco", "mujocoinclude", "robot")
 """Tags that MuJoCo accepts for the root element: of a scene, of an included file, and of a URDF file."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from palmfield.config.stimulus import AM_KEYS, PATH_KEYS
 from palmfield.errors import OutputError, SceneError, did_you_mean, naming
+from palmfield.files import whole, writing
 from palmfield.session.open_scene import compiled, instances_of, no_scene, opened
 from palmfield.session.scene_edit import Edit, edited, indent_of, tag_of, without
 from palmfield.session.scene_text import Element, elements_of
@@ -17,7 +18,6 @@ from palmfield.stimulus.autd3_stm import read_foci_stm, table_of_stm
 from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.focus_table_file import focus_table, read_focus_table, write_focus_table
 from palmfield.transforms import Transform
-from palmfield.whole_files import whole, writing
 
 ARRAY, STIMULUS, SKIN = "palmfield.array", "palmfield.stimulus", "palmfield.skin"
 REPLACED = (

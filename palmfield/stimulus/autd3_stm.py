@@ -21,11 +21,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.acoustics.arrays import layout
 from palmfield.errors import OutputError, SceneError, fault_of, naming
-from palmfield.input_files import read_json
+from palmfield.files import read_json, write_text
 from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.focus_table_file import focus_table
 from palmfield.types import Float
-from palmfield.whole_files import write_text
 
 CARRIER_HZ = 40e3
 LEVELS = 255

@@ -22,11 +22,10 @@ import numpy as np
 
 from palmfield.config.stimulus import too_far
 from palmfield.errors import SceneError, did_you_mean
-from palmfield.input_files import read_text, reading
+from palmfield.files import read_text, reading, write_text
 from palmfield.stimulus.focus_table import Between, FocusTable, Quantity, TableFrame
 from palmfield.tables import numbers_in
 from palmfield.types import Float
-from palmfield.whole_files import write_text
 
 VERSION = 1
 HEAD = ("palmfield_stimulus", "frame", "rate_Hz", "quantity", "units", "between")

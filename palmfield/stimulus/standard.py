@@ -15,7 +15,7 @@ from palmfield.config import StimulusConfig
 from palmfield.config.base import Positive
 from palmfield.data import folder
 from palmfield.errors import SceneError, fault_of, refuse_unknown
-from palmfield.input_files import read_toml
+from palmfield.files import read_toml
 
 
 class StandardStimulus(BaseModel):

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from palmfield.input_files import read_toml
+from palmfield.files import read_toml
 
 KINDS = ("INPUT", "CLAIM", "ERRATUM", "CALC")
 

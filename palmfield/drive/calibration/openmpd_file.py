@@ -15,7 +15,7 @@ import numpy as np
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import Calibration, Elements
 from palmfield.errors import SceneError
-from palmfield.input_files import read_text, reading
+from palmfield.files import read_text, reading
 from palmfield.types import Float
 
 SAME_M = 1e-6

@@ -15,9 +15,9 @@ from palmfield.drive.calibration.frequency_sweep import response_at
 from palmfield.drive.calibration.plate_scale import plate_force
 from palmfield.drive.calibration.readings import XYZ
 from palmfield.errors import OutputError
+from palmfield.files import made_folder
 from palmfield.tables import write_table
 from palmfield.types import Air, Array, Complex, Estimate, Float
-from palmfield.whole_files import made_folder
 
 FOCUS_M = (0.0, 0.0, 0.15)
 PLATE_M = (0.1, 0.1)

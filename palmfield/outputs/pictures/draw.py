@@ -6,10 +6,10 @@ from pathlib import Path
 import xarray as xr
 
 from palmfield.errors import MeasurementError, OutputError, refuse_unknown
+from palmfield.files import made_folder
 from palmfield.outputs.pictures.kinds import KINDS, check_options
 from palmfield.outputs.pictures.options import Options
 from palmfield.outputs.style import FORMATS, save, style
-from palmfield.whole_files import made_folder
 
 DPI = 300
 

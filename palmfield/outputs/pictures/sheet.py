@@ -9,10 +9,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from palmfield.errors import MeasurementError, OutputError
+from palmfield.files import made_folder
 from palmfield.outputs.pictures.kinds import KINDS
 from palmfield.outputs.pictures.options import Options
 from palmfield.outputs.style import save, style
-from palmfield.whole_files import made_folder
 
 COLUMNS, SIDE_INCH = 4, 2.6
 SMALL_DPI, DPI = 110, 150

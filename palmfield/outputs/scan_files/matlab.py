@@ -12,9 +12,8 @@ import numpy as np
 from scipy.io import loadmat, savemat
 
 from palmfield.errors import MeasurementError
-from palmfield.input_files import regular
+from palmfield.files import regular, writing
 from palmfield.instruments.scan import Quantity, Scan
-from palmfield.whole_files import writing
 
 VALUES: dict[str, Quantity] = {"velocity_m_s": "velocity", "displacement_m": "displacement"}
 NAMES = {quantity: name for name, quantity in VALUES.items()}

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palmfield.errors import MeasurementError, SceneError, did_you_mean
-from palmfield.input_files import read_bytes, reading
+from palmfield.files import read_bytes, reading
 from palmfield.instruments.scan import SIGHTS, UNITS, Quantity, Scan
 from palmfield.tables import read_table
 from palmfield.types import Float

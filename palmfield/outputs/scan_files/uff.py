@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from palmfield.errors import MeasurementError, OutputError, reason_of
-from palmfield.input_files import reading, regular
+from palmfield.files import reading, regular, writing
 from palmfield.instruments.scan import UNITS, Quantity, Scan
 from palmfield.types import Float
-from palmfield.whole_files import writing
 
 KINDS: dict[int, Quantity] = {8: "displacement", 11: "velocity"}
 NUMBERS = {quantity: number for number, quantity in KINDS.items()}

@@ -20,10 +20,9 @@ from typing import cast
 import numpy as np
 
 from palmfield.errors import MeasurementError, did_you_mean, naming, refuse_unknown
-from palmfield.input_files import regular
+from palmfield.files import regular, writing
 from palmfield.instruments.scan import QUANTITIES, SIGHTS, UNITS, Quantity, Scan
 from palmfield.tables import UNREADABLE, numbers_in
-from palmfield.whole_files import writing
 
 PLACES = ("x_m", "y_m", "z_m")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError
-from palmfield.input_files import reading
+from palmfield.files import reading
 from palmfield.studies.bench import chart, field, skin, table
 
 SKIN = ["method", "size", "seconds", "error at rest", "error at 200 Hz", "stated"]

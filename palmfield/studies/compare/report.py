@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from palmfield.files import write_text
 from palmfield.instruments.agreement import Agreement
 from palmfield.instruments.guided_mode import GuidedMode
 from palmfield.instruments.registration import Registration
@@ -15,7 +16,6 @@ from palmfield.instruments.scan import Scan
 from palmfield.studies.compare.waves import as_dict, in_words
 from palmfield.tables import write_table
 from palmfield.types import Float
-from palmfield.whole_files import write_text
 
 QUIET = 0.1
 """Points whose measured rms is below this share of the loudest are excluded from medians."""

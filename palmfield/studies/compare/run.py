@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 from palmfield.errors import MeasurementError, OutputError, did_you_mean, naming
+from palmfield.files import made_folder
 from palmfield.instruments.agreement import agreement
 from palmfield.instruments.frequency_wavenumber import frequency_wavenumber
 from palmfield.instruments.registration import Registration, registration
@@ -22,7 +23,6 @@ from palmfield.studies.compare.suspected_faults import WILD, suspected_faults, w
 from palmfield.studies.compare.waves import guided_modes
 from palmfield.tables import pop_columns, read_table
 from palmfield.types import Float
-from palmfield.whole_files import made_folder
 
 OFF_M = 5e-3
 """A measured point farther from the skin than this is excluded [m]."""

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from palmfield.config import CONFIGS
 from palmfield.errors import OutputError, PalmfieldError, fault_of
-from palmfield.input_files import read_json, read_toml, reading
+from palmfield.files import read_json, read_toml, reading
 from palmfield.perception.psychometric import PsychometricFunction, Shape
 from palmfield.studies.experiment.procedures import Adjustment, ConstantStimuli, Limits, Procedure, Staircase
 

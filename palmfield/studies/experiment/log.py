@@ -19,11 +19,10 @@ from filelock import FileLock, Timeout
 
 from palmfield.closing import Closing
 from palmfield.errors import OutputError, unwritable
-from palmfield.input_files import plain, read_bytes, reading
+from palmfield.files import plain, read_bytes, reading, writing
 from palmfield.session.scene_text import read_scene_text
 from palmfield.studies.experiment.design import Design
 from palmfield.studies.experiment.procedures import Answered
-from palmfield.whole_files import writing
 
 VERSION = 1
 

@@ -13,11 +13,11 @@ from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import TimedFrame
 from palmfield.drive.player import Player
 from palmfield.errors import DeviceError
+from palmfield.files import made_folder
 from palmfield.hardware.log_head import log_head
 from palmfield.hardware.play import scene_frames
 from palmfield.hardware.safety.scene_sound import warn_at_head
 from palmfield.session.preview import preview
-from palmfield.whole_files import made_folder
 
 OnSound = Callable[[float], None]
 """Called with the time of the sound of the first frame as soon as it is measured [s, time.monotonic]."""

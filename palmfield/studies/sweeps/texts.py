@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from palmfield.errors import SceneError, naming, reason_of
-from palmfield.input_files import regular
+from palmfield.files import regular
 from palmfield.studies.sweeps.design import Design, Range, Value, check_range, grid, listed, random, sobol
 
 FORMS = (

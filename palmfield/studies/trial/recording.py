@@ -16,7 +16,7 @@ import numpy as np
 
 from palmfield.errors import SceneError, naming, refuse_unknown
 from palmfield.estimate.array_inputs import p0_band
-from palmfield.input_files import read_text, reading
+from palmfield.files import read_text, reading
 from palmfield.instruments import scan
 from palmfield.studies.trial.field import TrialMoment, TrueSound
 from palmfield.studies.trial.sending import Drives

@@ -17,6 +17,7 @@ from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
 from palmfield.drive.ports import check_port
 from palmfield.errors import DeviceError, OutputError
+from palmfield.files import made_folder, write_text
 from palmfield.hardware.log_head import log_head
 from palmfield.hardware.safety.scene_sound import warn_at_head
 from palmfield.interrupts import interrupts_delayed
@@ -36,7 +37,6 @@ from palmfield.studies.trial.sending import VIRTUAL, Drives, MadeFrame, Sent, se
 from palmfield.studies.trial.skin_response import SkinResponse, skin_response
 from palmfield.tables import write_table
 from palmfield.terminal import bars
-from palmfield.whole_files import made_folder, write_text
 
 FINEST_S = 1e-3
 """Largest interval between times at which the sound at the hand is computed [s]."""

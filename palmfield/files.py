@@ -1,6 +1,7 @@
-"""Read files of users: regular files of limited size, and TOML and JSON of limited depth and limited numbers.
+"""Read users' files, of limited size and depth, and write files completely or not at all.
 
-Devices, pipes and folders are not opened: /dev/zero has no end, and reading a pipe may wait for ever.
+Devices, pipes and folders are not read: /dev/zero has no end, and reading a pipe may wait for ever. If the disk is full
+while a file is written, an existing file is unchanged.
 """
 
 import errno
@@ -12,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from palmfield.errors import PalmfieldError, reason_of
+from palmfield.errors import PalmfieldError, reason_of, unwritable
 
 MOST_BYTES = 1 << 30
 """Largest size of a data file: a scan of 60 points with 900,000 samples has 0.5 GB as text."""
@@ -32,15 +33,15 @@ class Unfit(OSError):
 
 
 @contextmanager
-def reading(what: object, error: type[PalmfieldError], wanted: str) -> Iterator[None]:
+def reading(what: object, error: type[PalmfieldError], instead: str) -> Iterator[None]:
     """Convert errors of the system or a decoder in the block, which reads a file, to `error`.
 
-    what: the file, with its option if any; wanted: what to give instead, such as "a CSV file in UTF-8"
+    what: the file, with its option if any; instead: what to give instead, such as "a CSV file in UTF-8"
     """
     try:
         yield
-    except (OSError, ValueError) as said:
-        raise error(f"{what}: cannot be read: {reason_of(said)}; give {wanted}") from None
+    except (OSError, ValueError) as cause:
+        raise error(f"{what}: cannot be read: {reason_of(cause)}; give {instead}") from None
 
 
 def regular(path: str | Path, most_bytes: int = MOST_BYTES) -> Path:
@@ -108,3 +109,45 @@ def plain(parse: Any, text: str | bytes) -> Any:
                 below.extend(part.values() if isinstance(part, dict) else part)
         level = below
     return value
+
+
+@contextmanager
+def whole(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path to be written in the block, which is renamed to `path` at its end.
+
+    After an error, including Ctrl-C, it is removed, and the error is raised. If `path` is not a regular file, such as
+    /dev/stdout, it is written directly.
+    """
+    file = Path(path)
+    if file.exists() and not file.is_file():
+        yield file
+        return
+    part = file.with_name(file.name + ".part")
+    try:
+        yield part
+        part.replace(file)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """Convert system errors in the block, which writes a file or folder, to OutputError."""
+    try:
+        yield
+    except OSError as error:
+        raise unwritable(path, error) from error
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text as a `whole` file. Raises OutputError if that fails."""
+    with writing(path), whole(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def made_folder(path: str | Path) -> Path:
+    """Create a folder and its missing parents, and return it. Raises OutputError if that fails."""
+    with writing(path):
+        Path(path).mkdir(parents=True, exist_ok=True)
+    return Path(path)
