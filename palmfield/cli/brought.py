@@ -34,24 +34,24 @@ def _loaded(entry: EntryPoint) -> Any:
         return _made(entry.name, entry.load())
     except Exception as error:  # an error in another distribution must not affect `palmfield --help`
         where = f" of {entry.dist.name}" if entry.dist is not None else ""
-        said = f"`palmfield {entry.name}`{where} cannot be loaded: {type(error).__name__}: {error}"
-        return _refused(entry.name, "Cannot be loaded", said)
+        message = f"`palmfield {entry.name}`{where} cannot be loaded: {type(error).__name__}: {error}"
+        return _refused(entry.name, "Cannot be loaded", message)
 
 
 def _absent(name: str) -> Any:
     distribution, does = SEPARATE[name]
     there = (CLONE / name / "pyproject.toml").is_file()
     install = f"pip install -e {CLONE / name}" if there else f"pip install {distribution}"
-    said = f"`palmfield {name}` belongs to a separate distribution, which is not installed; install it: {install}"
-    return _refused(name, f"{does} (not installed)", said)
+    message = f"`palmfield {name}` belongs to a separate distribution, which is not installed; install it: {install}"
+    return _refused(name, f"{does} (not installed)", message)
 
 
-def _refused(name: str, does: str, said: str) -> Any:
+def _refused(name: str, does: str, message: str) -> Any:
     def refuse() -> None:
-        raise PalmfieldError(said)
+        raise PalmfieldError(message)
 
-    takes_all = {"ignore_unknown_options": True, "allow_extra_args": True}
-    return _made(name, refuse, help=f"{does}.\n\n{said}", context_settings=takes_all)
+    any_arguments = {"ignore_unknown_options": True, "allow_extra_args": True}
+    return _made(name, refuse, help=f"{does}.\n\n{message}", context_settings=any_arguments)
 
 
 def _made(name: str, function: Callable[..., None], **settings: Any) -> Any:

@@ -26,12 +26,12 @@ def show() -> None:
     """
     from palmfield import cache as disk
 
-    where, kept = _entries()
-    for entry in kept:
+    where, stored = _entries()
+    for entry in stored:
         print(f"{entry.size_bytes / 1e6:8.1f} MB  used {_ago(time.time() - entry.used):>9} ago  {entry.path.name}")
-    total = sum(entry.size_bytes for entry in kept)
+    total = sum(entry.size_bytes for entry in stored)
     limit = disk.limit_bytes()
-    print(f"{len(kept)} entries in {where}: {total / 1e6:.1f} MB of {limit / 1e6:.0f} MB")
+    print(f"{len(stored)} entries in {where}: {total / 1e6:.1f} MB of {limit / 1e6:.0f} MB")
 
 
 @cache.command("clear")
@@ -42,8 +42,8 @@ def clear() -> None:
     """
     from palmfield import cache as disk
 
-    where, kept = _entries()
-    total = sum(entry.size_bytes for entry in kept)
+    where, stored = _entries()
+    total = sum(entry.size_bytes for entry in stored)
     print(f"removed {disk.clear()} from {where}: {total / 1e6:.1f} MB")
 
 

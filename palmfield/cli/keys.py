@@ -126,13 +126,13 @@ def _renamed(configs: Sequence[type["Config"]]) -> list[tuple[str, str]]:
 
 
 def _section(title: str, about: str, rows: Sequence[tuple[str, ...]]) -> list[str]:
-    lines = [_line((key, _limits(takes), *rest)) for key, _, takes, *rest in [HEADINGS, *rows]]
+    lines = [_line((key, _limits(limits), *rest)) for key, _, limits, *rest in [HEADINGS, *rows]]
     return [f"## {title}", "", about, "", lines[0], "|---|---|---|---|", *lines[1:], ""]
 
 
-def _limits(takes: str) -> str:
+def _limits(limits: str) -> str:
     """Return the allowed values of a key, shortened for the page: `> 0, <= 20` for `finite number > 0 and <= 20`."""
-    return SHORT.sub(r"\1", takes).replace(" and <", ", <").replace(" | ", ", ")
+    return SHORT.sub(r"\1", limits).replace(" and <", ", <").replace(" | ", ", ")
 
 
 def _line(row: tuple[str, ...]) -> str:

@@ -95,14 +95,14 @@ def trial(
     if motion is not None:
         changed |= motion_keys(motion)
     tracker = Tracker(tracker_rate, 1e-3 * tracker_latency, 1e-3 * tracker_noise, ahead_s=_ahead_s(ahead))
-    heard = None if recording is None else read_recording(recording)
+    measured = None if recording is None else read_recording(recording)
     if align is not None and live is None:
         raise SceneError("--align belongs to --live: a scene has key tracking_alignment of palmfield.motion")
     if motion is not None and live is not None:
         raise SceneError("--motion and --live both move the hand; give one")
     result = play_trial(
         scene, board=board, port=port, tracker=tracker, keys=changed, duration_s=duration, truth=truth,
-        recording=heard, skin=skin, out=out or Path("out") / f"{scene.stem}_trial", overwrite=overwrite,
+        recording=measured, skin=skin, out=out or Path("out") / f"{scene.stem}_trial", overwrite=overwrite,
         live=None if live is None else listening_at(live, align), progress=not context.obj,
     )  # fmt: skip
     if as_json:

@@ -68,13 +68,13 @@ def noticed(controls: Sequence[Control], rows: Sequence[Row]) -> list[Noticed]:
         listed = [by_id[name] for name in control.sensitive if name in by_id]
         if not listed:
             continue
-        said = {row.entry.id: row.turned(control.name) if control.name in row.controls else None for row in listed}
+        changed = {row.entry.id: row.turned(control.name) if control.name in row.controls else None for row in listed}
         out.append(
             Noticed(
                 control,
-                tuple(name for name, one in said.items() if one),
-                tuple(name for name, one in said.items() if one is False),
-                tuple(name for name, one in said.items() if one is None),
+                tuple(name for name, one in changed.items() if one),
+                tuple(name for name, one in changed.items() if one is False),
+                tuple(name for name, one in changed.items() if one is None),
                 math.ceil(len(control.sensitive) / SHARE),
             )
         )

@@ -77,8 +77,8 @@ def _note(one: Tried | None) -> str:
 
 
 def _share(row: Row) -> str:
-    said = [one.comparison.within for one in row.tried if one.comparison is not None]
-    return f"{sum(said)} of {len(said)}" if said else NONE
+    within = [one.comparison.within for one in row.tried if one.comparison is not None]
+    return f"{sum(within)} of {len(within)}" if within else NONE
 
 
 def _by_itself(row: Row, one: Tried) -> str:

@@ -110,11 +110,11 @@ def _tried(entry: Entry, compute: Compute, setting: Setting) -> Tried:
         return Tried(readings, None, None, f"{type(error).__name__}: {error}")
 
 
-def _acts_on(control: Control, entry: Entry, said: Verdict | None, quick: bool) -> bool:
+def _acts_on(control: Control, entry: Entry, outcome: Verdict | None, quick: bool) -> bool:
     """Return whether a control lists the claim or, in full runs, affects the configuration of a claim that agrees."""
     if control.name in entry.sensitive_to:
         return True
-    return not quick and said == "agrees" and entry.configuration in control.configurations
+    return not quick and outcome == "agrees" and entry.configuration in control.configurations
 
 
 def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
@@ -125,29 +125,29 @@ def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
     started = time.process_time()
     compute = paper.answers.get(entry.id)
     if compute is None:
-        said: Verdict | None = None
+        outcome: Verdict | None = None
         if entry.kind == "CLAIM":
-            said = "no answer" if entry.testable else "not testable"
-        return Row(entry, (), said)
+            outcome = "no answer" if entry.testable else "not testable"
+        return Row(entry, (), outcome)
     readings = book.varied(entry) if entry.counts else [book.base(entry)]
     tried = tuple(_tried(entry, compute, replace(setting, readings=one)) for one in readings)
     if entry.kind != "CLAIM":
         return Row(entry, tried, None, seconds=time.process_time() - started)
-    said, split = verdict(entry, [one.comparison for one in tried]), hangs_on_estimator(tried[0].answer)
+    outcome, split = verdict(entry, [one.comparison for one in tried]), hangs_on_estimator(tried[0].answer)
     base = replace(setting, readings=readings[0])
     controls = {
         control.name: _tried(entry, compute, replace(base, control=control.name))
         for control in book.controls
-        if entry.counts and _acts_on(control, entry, said, setting.quick)
+        if entry.counts and _acts_on(control, entry, outcome, setting.quick)
     }
     causes = tuple(
         (cause.what, _tried(entry, cause.compute, base))
-        for cause in (paper.causes.get(entry.id, ()) if said == "disagrees" else ())
+        for cause in (paper.causes.get(entry.id, ()) if outcome == "disagrees" else ())
     )
-    said = "depends" if split and said in ("agrees", "disagrees") else said
-    found = Row(entry, tried, said, controls, causes)
+    outcome = "depends" if split and outcome in ("agrees", "disagrees") else outcome
+    found = Row(entry, tried, outcome, controls, causes)
     later: tuple[tuple[str, Tried], ...] = ()
-    if said == "agrees" and not any(found.turned(name) for name in controls):
+    if outcome == "agrees" and not any(found.turned(name) for name in controls):
         later = tuple((one.what, _tried(entry, one.compute, base)) for one in paper.later.get(entry.id, ()))
     readings_later = tuple(
         (one.what, _tried(entry, one.compute, base)) for one in paper.found_later.get(entry.id, ()) if entry.counts

@@ -22,11 +22,11 @@ def side_by_side(work: Callable[[str, Report], T], names: Sequence[str], jobs: i
     """
     context = multiprocessing.get_context("spawn")
     with context.Manager() as manager, ProcessPoolExecutor(min(jobs, len(names)), mp_context=context) as pool:
-        heard: Any = manager.Queue()
+        messages: Any = manager.Queue()
         ending: Any = manager.Event()
 
         def listen() -> None:
-            for news in iter(heard.get, None):
+            for news in iter(messages.get, None):
                 report(*news)
 
         listener = threading.Thread(target=listen, daemon=True)
@@ -34,12 +34,12 @@ def side_by_side(work: Callable[[str, Report], T], names: Sequence[str], jobs: i
         running: list[Future[list[T]]] = []
         try:
             # Processes inherit this: an idle or importing process has nothing to write, and would print a traceback
-            with _held():
-                running += [pool.submit(_one, work, name, heard, ending) for name in names]
+            with _interrupts_blocked():
+                running += [pool.submit(_one, work, name, messages, ending) for name in names]
         except KeyboardInterrupt:
             _end(running, ending)
         _wait(running, ending)
-        heard.put(None)
+        messages.put(None)
         listener.join()
         return [result for one in running if not one.cancelled() for result in one.result()]
 
@@ -87,7 +87,7 @@ def _once(number: int, frame: object) -> None:
 
 
 @contextmanager
-def _held() -> Iterator[None]:
+def _interrupts_blocked() -> Iterator[None]:
     """Delay Ctrl-C to the end of the block in this thread, and permanently in processes that begin in it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

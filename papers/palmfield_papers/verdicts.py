@@ -93,9 +93,9 @@ def verdict(entry: Entry, comparisons: Sequence[Comparison | None]) -> Verdict:
     gives "no answer"."""
     if not entry.testable:
         return "not testable"
-    said = [one.within for one in comparisons if one is not None]
-    if not said or comparisons[0] is None:
+    within = [one.within for one in comparisons if one is not None]
+    if not within or comparisons[0] is None:
         return "no answer"
-    if all(said):
+    if all(within):
         return "agrees"
-    return "depends" if any(said) else "disagrees"
+    return "depends" if any(within) else "disagrees"

@@ -93,9 +93,9 @@ def _measured_map(case: Case, stimulus: Stimulus, probe: Probe) -> Map:
     x, y = np.meshgrid(axis, axis, indexing="ij")
     inside = np.hypot(x, y) <= RADIUS_M + 1e-9
     angle = np.arctan2(np.abs(y), x)[inside]
-    seen = of_radius(np.hypot(x, y)[inside]) * np.cos(np.outer(angle, np.arange(RAYS + 1)))
+    pattern = of_radius(np.hypot(x, y)[inside]) * np.cos(np.outer(angle, np.arange(RAYS + 1)))
     values = np.zeros(x.shape)
-    values[inside] = np.sqrt(np.maximum(seen.sum(axis=1), 0.0))
+    values[inside] = np.sqrt(np.maximum(pattern.sum(axis=1), 0.0))
     return Map(axis, values, run.error)
 
 

@@ -110,7 +110,7 @@ def misfits() -> dict[str, float]:
         "steady": ("C15a", "C14a"), "step peak": ("C15c", "C14c"), "AM p-p": ("C19b", "C19a"),
         "AM rms": ("C19d", "C19c"), "STM p-p": ("C20b", "C20a"), "STM rms": ("C20d", "C20c"),
     }  # fmt: skip
-    return {name: float(str(values[fem])) / float(str(values[seen])) for name, (fem, seen) in pairs.items()}
+    return {name: float(str(values[fem])) / float(str(values[measured])) for name, (fem, measured) in pairs.items()}
 
 
 def misfit_range(setting: Setting) -> Answer:

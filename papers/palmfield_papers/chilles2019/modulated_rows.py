@@ -90,8 +90,8 @@ def highest(kind: str, inwards: bool) -> Compute:
     def compute(setting: Setting) -> Answer:
         def both(case: Case) -> tuple[float, float]:
             trace, window = fem_trace(case, kind, setting)
-            seen = within(trace.times_s, trace.values, window)[1]
-            return float(seen.max()), SHARE * float(np.ptp(seen))
+            values = within(trace.times_s, trace.values, window)[1]
+            return float(values.max()), SHARE * float(np.ptp(values))
 
         case = case_of(setting)
         value, allowed = both(case)

@@ -103,13 +103,13 @@ def circle(setting: Setting) -> Figure:
     return _two_columns(setting, "stm", "stm", "On a circle at 70 Hz", (0, 100))
 
 
-def _two_columns(setting: Setting, fem: Stimulus, seen: Stimulus, title: str, span: tuple[float, float]) -> Figure:
+def _two_columns(setting: Setting, fem: Stimulus, optical: Stimulus, title: str, span: tuple[float, float]) -> Figure:
     case = case_of(setting)
-    simulated, vibrated = raw(case, fem), gained(case, seen, Probe())
+    simulated, vibrated = raw(case, fem), gained(case, optical, Probe())
     figure = Figure(figsize=(9.0, 5.2), layout="constrained")
     panels = figure.subplots(2, 2)
     load = ", load modulated" if fem == "am_load" else ""
-    pressure = ", pressure modulated" if seen == "am_pressure" else ""
+    pressure = ", pressure modulated" if optical == "am_pressure" else ""
     rows = (
         (simulated, f"raw motion, 12 Pa{load}", COLOURS[0]),
         (vibrated, f"vibrometer, order 2, gain of the step{pressure}", COLOURS[1]),

@@ -146,8 +146,8 @@ def flight(setting: Setting) -> Answer:
 
 
 def velocity_term(setting: Setting) -> Answer:
-    said = "words: u^2.u is a vector; the code, as printed or corrected, has u.u"
-    return Answer(None, note=f"{said} (palmfield_papers.chilles2019.as_printed)")
+    note = "words: u^2.u is a vector; the code, as printed or corrected, has u.u"
+    return Answer(None, note=f"{note} (palmfield_papers.chilles2019.as_printed)")
 
 
 ANSWERS: dict[str, Compute] = {

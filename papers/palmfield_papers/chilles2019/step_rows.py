@@ -112,20 +112,20 @@ def diameter(through_vibrometer: bool) -> Compute:
     """Return the diameter in which the map of the step exceeds 20 % of its peak."""
 
     def compute(setting: Setting) -> Answer:
-        def seen(case: Case) -> Map:
+        def map_of(case: Case) -> Map:
             if through_vibrometer:
                 return measured_map(case, "step", probe_of(setting))
             return round_map(*raw_profile(case, start_of(setting), reading(setting, "chilles_diameter_map")))
 
         case = case_of(setting)
-        found = seen(case)
+        found = map_of(case)
         try:
             value = diameter_of(found)
         except MeasurementError as reason:
             return Answer(None, note=str(reason))
         note = "error: the solver's, carried to the level"
         try:
-            band = banded(setting, case, lambda one: diameter_of(seen(one)))
+            band = banded(setting, case, lambda one: diameter_of(map_of(one)))
         except MeasurementError as reason:
             band, note = None, f"{note}; no band: with the moduli at an end, {reason}"
         return Answer(value, diameter_error(found), band, note=note)

@@ -45,9 +45,9 @@ class Chain:
     flight: bool = False
 
 
-def packets(wanted: Float, design: float) -> Float:
+def packets(target: Float, design: float) -> Float:
     """Return pulse widths in ticks for a radiation pressure relative to the largest, one per packet, shape (k,)."""
-    return widths(np.sqrt(wanted), HASEGAWA_TICKS, design).astype(np.float64)
+    return widths(np.sqrt(target), HASEGAWA_TICKS, design).astype(np.float64)
 
 
 def emitted(packet_widths: Float, quality: float, exponent: float = DEVICE_EXPONENT) -> Complex:
@@ -78,8 +78,8 @@ def focal_envelope(frequency_Hz: float, chain: Chain) -> Complex:
     before = math.ceil(SETTLED_S * PACKET_RATE_HZ)
     after = 20
     times = (np.arange(-before, length * PACKET_RATE_HZ / CARRIER_HZ + after)) / PACKET_RATE_HZ
-    wanted = 0.5 + 0.5 * np.sin(2.0 * np.pi * frequency_Hz * times + np.radians(chain.phase_deg))
-    course = emitted(packets(wanted, chain.design), chain.quality)
+    target = 0.5 + 0.5 * np.sin(2.0 * np.pi * frequency_Hz * times + np.radians(chain.phase_deg))
+    course = emitted(packets(target, chain.design), chain.quality)
     first = before * round(CARRIER_HZ / PACKET_RATE_HZ)
     if not chain.flight:
         return course[first : first + length]
@@ -163,8 +163,8 @@ def flatness(setting: Setting) -> Answer:
 @cache
 def continuous(frequency_Hz: float, quality: float, count: int = 4096) -> Complex:
     """Return the envelope over one period for a target (1 + sin)/2 without delay, after the resonance."""
-    wanted = 0.5 + 0.5 * np.sin(2.0 * np.pi * np.arange(count) / count)
-    lines = np.fft.ifft(np.sqrt(wanted))
+    target = 0.5 + 0.5 * np.sin(2.0 * np.pi * np.arange(count) / count)
+    lines = np.fft.ifft(np.sqrt(target))
     # e^{-i w t}: line n of the inverse transform is the component of the envelope at n f
     response = envelope_response(np.fft.fftfreq(count, 1.0 / (count * frequency_Hz)), Pole(CARRIER_HZ, quality))[:, 0]
     return np.asarray(np.fft.fft(lines * response))
@@ -230,9 +230,9 @@ def fixed_edge(setting: Setting) -> Answer:
 
 def inverse_law(setting: Setting) -> Answer:
     """Return the largest distance of sin^2(pi d) from the target pressure with the corrected inverse."""
-    wanted = np.linspace(0.0, 1.0, 101)
-    found = relative_pressure(duty_cycle(np.sqrt(wanted))) ** 2
-    return Answer(float(np.abs(found - wanted).max()), error=1e-12, note="as corrected, sin^2(pi d) less the wanted")
+    target = np.linspace(0.0, 1.0, 101)
+    found = relative_pressure(duty_cycle(np.sqrt(target))) ** 2
+    return Answer(float(np.abs(found - target).max()), error=1e-12, note="as corrected, sin^2(pi d) less the wanted")
 
 
 def carrier_average(setting: Setting) -> Answer:

@@ -145,12 +145,12 @@ def saw_waves(setting: Setting) -> Figure:
     """Draw a saw wave of 50 Hz designed for three exponents on a device whose exponent is 1.5."""
     rate, periods = 50.0, 6
     times = np.arange(0, periods / rate, 1.0 / PACKET_RATE_HZ)
-    wanted = (times * rate) % 1.0
+    target = (times * rate) % 1.0
     figure = Figure(figsize=(9.0, 4.4), layout="constrained")
     panels = figure.subplots(2, 3, sharex=True, sharey="row")
     low = butter(5, 3000.0, fs=CARRIER_HZ, output="sos")
     for column, (design, colour) in enumerate(zip((1.0, 1.5, 2.0), COLOURS, strict=True)):
-        envelope = np.abs(emitted(packets(wanted, design), 25.0))
+        envelope = np.abs(emitted(packets(target, design), 25.0))
         arp = sosfiltfilt(low, envelope**2)
         at = np.arange(len(envelope)) / CARRIER_HZ
         shown = (at >= 2.0 / rate) & (at < 4.0 / rate)

@@ -79,8 +79,8 @@ def likeness(setting: Setting, level: int, speed: float, **changes: Any) -> tupl
     side = 0.01 * first_number(setting, "reardon_z_size")
     plate = plate_of(setting, **changes)
     drawn = z_energy(plate, side, speed, level, setting.device)
-    wanted = design(z_course(side, speed, level), drawn.places_m, plate.fwhm_m)
-    return mse(drawn.values, wanted), ssim(drawn.values, wanted)
+    target = design(z_course(side, speed, level), drawn.places_m, plate.fwhm_m)
+    return mse(drawn.values, target), ssim(drawn.values, target)
 
 
 def _both(setting: Setting, **changes: Any) -> dict[str, float]:

@@ -46,7 +46,7 @@ RIDGE_deg = math.degrees(0.5 * GRID_m / 0.04)
 """Angle of half a grid step in the middle of the fitted ridge, 20 to 60 mm behind the focus."""
 
 
-def seen(setting: Setting, level: int, speed: float, length: float | None = None, **changes: Any) -> Straight:
+def run_of(setting: Setting, level: int, speed: float, length: float | None = None, **changes: Any) -> Straight:
     """Return the straight run under a setting; length: of the path if no reading gives it."""
     way = length_of(setting) if length is None else length
     return straight(plate_of(setting, **changes), speed, way, level, setting.device)
@@ -93,7 +93,7 @@ def wake_by_viscosity(viscosity: float) -> Callable[[Setting], Answer]:
     """R5h to R5j."""
 
     def number(setting: Setting, level: int) -> float:
-        return wake_cm(seen(setting, level, 7.0, PATH_m, back="bonded", viscosity_Pa_s=viscosity), 0.1)
+        return wake_cm(run_of(setting, level, 7.0, PATH_m, back="bonded", viscosity_Pa_s=viscosity), 0.1)
 
     return lambda setting: answered(number, setting, note="path of 16 cm: no wake is longer than 18.5 cm on the slab")
 
@@ -103,7 +103,7 @@ def wake_by_viscosity(viscosity: float) -> Callable[[Setting], Answer]:
 
 def amplitudes(setting: Setting, level: int, **changes: Any) -> dict[float, float]:
     """Return the largest velocity in the second half of the path by speed [m/s]."""
-    return {speed: seen(setting, level, speed, PATH_m, **changes).largest for speed in (3.0, 5.0, 7.0, 10.0)}
+    return {speed: run_of(setting, level, speed, PATH_m, **changes).largest for speed in (3.0, 5.0, 7.0, 10.0)}
 
 
 def _largest_at_one(**changes: Any) -> Callable[[Setting], Answer]:
@@ -133,10 +133,10 @@ def _smallest_when_slow(**changes: Any) -> Callable[[Setting], Answer]:
 
 def _angle(speed: float, **changes: Any) -> Callable[[Setting], Answer]:
     def number(setting: Setting, level: int) -> float:
-        return angle_deg(seen(setting, level, speed, PATH_m, **changes))
+        return angle_deg(run_of(setting, level, speed, PATH_m, **changes))
 
     def answer(setting: Setting) -> Answer:
-        one = seen(setting, level_of(setting), speed, PATH_m, **changes)
+        one = run_of(setting, level_of(setting), speed, PATH_m, **changes)
         slanted = mach_angle(
             one.at_12_cm, one.places_m, one.places_m, focus_x_m=FOCUS_AT_m - 0.5 * PATH_m, estimator="slant_stack"
         )
@@ -174,12 +174,12 @@ def own_curve_deg(one: Straight, plate: Plate, speed: float) -> tuple[float, flo
 
 
 def _angle_at_seven(setting: Setting, level: int) -> float:
-    return angle_deg(seen(setting, level, 7.0, PATH_m))
+    return angle_deg(run_of(setting, level, 7.0, PATH_m))
 
 
 def own_angle(setting: Setting) -> Answer:
     """R7c: compared with our dispersion curve."""
-    one = seen(setting, level_of(setting), 7.0, PATH_m)
+    one = run_of(setting, level_of(setting), 7.0, PATH_m)
     curve, k = own_curve_deg(one, plate_of(setting), 7.0)
     note = f"the phase speed of the strongest mode at {k:.0f} rad/m, the mean of the snapshot, gives {curve:.1f} deg"
     return replace(answered(_angle_at_seven, setting, note=note, resolution=RIDGE_deg), against=curve)
@@ -190,13 +190,13 @@ def own_angle(setting: Setting) -> Answer:
 
 def _wake_at_seven(**changes: Any) -> Callable[[Setting], Answer]:
     def number(setting: Setting, level: int) -> float:
-        return wake_cm(seen(setting, level, 7.0, **changes), threshold_of(setting))
+        return wake_cm(run_of(setting, level, 7.0, **changes), threshold_of(setting))
 
     def answer(setting: Setting) -> Answer:
-        one = seen(setting, level_of(setting), 7.0, **changes)
+        one = run_of(setting, level_of(setting), 7.0, **changes)
         shown = {f"at {100 * share:g} % [cm]": wake_cm(one, share) for share in (0.01, 0.03, 0.1, 0.3)}
         shown |= {
-            f"{speed:g} m/s [cm]": wake_cm(seen(setting, level_of(setting), speed, **changes), threshold_of(setting))
+            f"{speed:g} m/s [cm]": wake_cm(run_of(setting, level_of(setting), speed, **changes), threshold_of(setting))
             for speed in (3.0, 5.0, 10.0)
         }
         note = (
@@ -210,7 +210,7 @@ def _wake_at_seven(**changes: Any) -> Callable[[Setting], Answer]:
 
 def areas(setting: Setting, level: int, **changes: Any) -> dict[float, float]:
     """Return areas by speed [cm^2]."""
-    return {v: area_cm2(seen(setting, level, v, **changes), threshold_of(setting)) for v in (5.0, 7.0, 10.0)}
+    return {v: area_cm2(run_of(setting, level, v, **changes), threshold_of(setting)) for v in (5.0, 7.0, 10.0)}
 
 
 def _outside(area: float) -> float:
@@ -239,8 +239,8 @@ def energy_changes(
     setting: Setting, level: int, what: Callable[[Straight], float], **changes: Any
 ) -> dict[float, float]:
     """Return the change from the reference to each fast speed [%]."""
-    slow = what(seen(setting, level, reference_m_s(setting), **changes))
-    return {v: 100.0 * (what(seen(setting, level, v, **changes)) / slow - 1.0) for v in FAST}
+    slow = what(run_of(setting, level, reference_m_s(setting), **changes))
+    return {v: 100.0 * (what(run_of(setting, level, v, **changes)) / slow - 1.0) for v in FAST}
 
 
 def _focal(**changes: Any) -> Callable[[Setting], Answer]:
@@ -347,7 +347,7 @@ def likeness_of_nulls(setting: Setting) -> dict[str, tuple[float, float]]:
     from palmfield.metrics import mse
 
     level = level_of(setting)
-    one, other = seen(setting, level, 7.0, PATH_m).energy, seen(setting, level, 5.0, PATH_m).energy
+    one, other = run_of(setting, level, 7.0, PATH_m).energy, run_of(setting, level, 5.0, PATH_m).energy
     step = 1e3 * 7.0 / 1400.0 / 2.0
     late = moved(one, (step, 0.0), order=1)
     return {

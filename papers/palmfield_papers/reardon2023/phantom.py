@@ -9,7 +9,7 @@ from palmfield.metrics import amplitude_spectrum, spectral_centroid, wake_length
 from palmfield.types import Float
 from palmfield_papers.answer import Answer, Setting
 from palmfield_papers.reardon2023.configuration import length_of, plate_of
-from palmfield_papers.reardon2023.lines import LATERAL_m, seen, wake_cm
+from palmfield_papers.reardon2023.lines import LATERAL_m, run_of, wake_cm
 from palmfield_papers.reardon2023.resolution import answered, level_of
 from palmfield_papers.reardon2023.runs import Straight
 
@@ -59,7 +59,7 @@ def width_Hz(one: Straight) -> float:
 
 
 def _wakes(setting: Setting, level: int, speeds: tuple[float, ...], **changes: Any) -> dict[float, float]:
-    return {v: scanned_wake_cm(seen(setting, level, v, **changes)) for v in speeds}
+    return {v: scanned_wake_cm(run_of(setting, level, v, **changes)) for v in speeds}
 
 
 def _long(**changes: Any) -> Callable[[Setting], Answer]:
@@ -77,10 +77,10 @@ def _long(**changes: Any) -> Callable[[Setting], Answer]:
 
 def _short(**changes: Any) -> Callable[[Setting], Answer]:
     def number(setting: Setting, level: int) -> float:
-        return scanned_wake_cm(seen(setting, level, 2.0, **changes))
+        return scanned_wake_cm(run_of(setting, level, 2.0, **changes))
 
     def answer(setting: Setting) -> Answer:
-        fine = wake_cm(seen(setting, level_of(setting), 2.0, **changes), 0.1)
+        fine = wake_cm(run_of(setting, level_of(setting), 2.0, **changes), 0.1)
         # Less than 6, because equality is not sufficient
         return answered(
             number, setting, changes=changes, margin=lambda v: 6.0 - v - 1e-9, shown={"on a grid of 1 mm [cm]": fine}
@@ -91,7 +91,7 @@ def _short(**changes: Any) -> Callable[[Setting], Answer]:
 
 def _rises(what: Callable[[Straight], float], **changes: Any) -> Callable[[Setting], Answer]:
     def by_speed(setting: Setting, level: int) -> list[float]:
-        return [what(seen(setting, level, v, **changes)) for v in SPEEDS]
+        return [what(run_of(setting, level, v, **changes)) for v in SPEEDS]
 
     def number(setting: Setting, level: int) -> float:
         return float(np.diff(by_speed(setting, level)).min())

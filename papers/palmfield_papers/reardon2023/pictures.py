@@ -67,8 +67,8 @@ def zs(setting: Setting) -> Figure:
     all_axes = figure.subplots(2, 4, sharex=True, sharey=True)
     for row, plate in enumerate(TWO.values()):
         first = figures.z_energy(plate, 0.06, 3.0, level_of(setting), setting.device)
-        wanted = figures.design(figures.z_course(0.06, 3.0, level_of(setting)), first.places_m)
-        _map(all_axes[row][0], first.places_m, wanted, signed=False, half_m=0.06)
+        target = figures.design(figures.z_course(0.06, 3.0, level_of(setting)), first.places_m)
+        _map(all_axes[row][0], first.places_m, target, signed=False, half_m=0.06)
         all_axes[row][0].set_title("design" if row == 0 else "", fontsize=9)
         for axes, speed in zip(all_axes[row][1:], (3.0, 5.0, 7.0), strict=True):
             drawn = figures.z_energy(plate, 0.06, speed, level_of(setting), setting.device)

@@ -65,8 +65,8 @@ def period_for(plate: Plate, seconds: float, level: int) -> float:
         return min(OTHER_PERIOD * period_for(plate, seconds, FULL), WIDEST_m)
     if level < FULL and plate.back == "bonded" and plate.viscosity_Pa_s >= LOSSY_Pa_s:
         return PERIOD_OF_LOSSY_m
-    wanted = 0.22 + plate.shear_speed_m_s * (FRONTS[level] if plate.back == "free" else 1.0) * seconds
-    return next((period for period in PERIODS_m[level] if period >= wanted - 1e-9), PERIODS_m[level][-1])
+    needed_m = 0.22 + plate.shear_speed_m_s * (FRONTS[level] if plate.back == "free" else 1.0) * seconds
+    return next((period for period in PERIODS_m[level] if period >= needed_m - 1e-9), PERIODS_m[level][-1])
 
 
 @lru_cache(maxsize=8)
@@ -127,7 +127,7 @@ def focus_at(course: Course, seconds: float) -> Float:
 
 def run(plate: Plate, course: Course, level: int, device: str, times_s: Float | None = None) -> Motion:
     """Return the motion at the samples of the course, or at other times [s]. It is not cached, because it is large."""
-    times, spot = _asked(plate, course, times_s)
+    times, spot = _requested(plate, course, times_s)
     if plate.rim == "reflecting":
         disc = walled(plate, level)
         places = disc.places(GRID_m)
@@ -142,7 +142,7 @@ def run(plate: Plate, course: Course, level: int, device: str, times_s: Float | 
 
 def line_run(plate: Plate, course: Course, level: int, device: str, snapshot: int) -> tuple[Motion, Float32]:
     """Return the motion of an infinite slab at one sample, and along y = 0 at all samples, shape (t, n)."""
-    times, spot = _asked(plate, course, None)
+    times, spot = _requested(plate, course, None)
     slab, cells = _lattice(plate, float(times[-1]), level)
     places = slab.places(RADIUS_m, cells)
     chosen = np.array([snapshot], dtype=np.int32)
@@ -151,7 +151,7 @@ def line_run(plate: Plate, course: Course, level: int, device: str, snapshot: in
     return Motion(times, places, velocity), line
 
 
-def _asked(plate: Plate, course: Course, times_s: Float | None) -> tuple[Float, Spot]:
+def _requested(plate: Plate, course: Course, times_s: Float | None) -> tuple[Float, Spot]:
     """Return the times of the result, and the spot with the width of the plate."""
     times, load, end = sampled(course)
     ends, peaks, centres = load.times_s, load.peak_Pa, load.centres()
