@@ -232,14 +232,14 @@ def _read(path: Path, key: str) -> Arrays | None:
 
 
 def _write(path: Path, key: str, answer: Arrays) -> None:
-    aside = path.with_name(f"{path.stem}.{os.getpid()}.{secrets.token_hex(4)}.part")
+    part = path.with_name(f"{path.stem}.{os.getpid()}.{secrets.token_hex(4)}.part")
     try:
         try:
-            with open(aside, "wb") as file:
+            with open(part, "wb") as file:
                 np.savez(file, allow_pickle=False, **answer, **{MARKS: np.array([key, digest(answer)])})
-            os.replace(aside, path)
+            os.replace(part, path)
         finally:
-            aside.unlink(missing_ok=True)
+            part.unlink(missing_ok=True)
         _make_room(path)
     except OSError as error:
         _warn(f"cache folder {path.parent}: {reason_of(error)}; continuing without a cache")

@@ -298,25 +298,25 @@ class Branches:
 
     def captured(self, device: str) -> None:
         """Do all calls while a graph is captured on a GPU, each list on a separate stream."""
-        main, beside = wp.get_stream(device), _streams(device, len(self.parts) - 1)
-        for stream in beside:
+        main, others = wp.get_stream(device), _streams(device, len(self.parts) - 1)
+        for stream in others:
             stream.wait_stream(main)
-        for stream, part in zip(beside, self.parts[1:], strict=True):
+        for stream, part in zip(others, self.parts[1:], strict=True):
             with wp.ScopedStream(stream, sync_enter=False):
                 for call in part:
                     call()
         for call in self.parts[0]:
             call()
-        for stream in beside:
+        for stream in others:
             main.wait_stream(stream)
 
 
-_beside: dict[str, list[Any]] = {}
+_side_streams: dict[str, list[Any]] = {}
 
 
 def _streams(device: str, count: int) -> list[Any]:
     """Return streams on which graphs are captured; they are reused."""
-    made = _beside.setdefault(device, [])
+    made = _side_streams.setdefault(device, [])
     made += [wp.Stream(device) for _ in range(count - len(made))]
     return made[:count]
 

@@ -42,8 +42,8 @@ def undisturbed() -> Iterator[str]:
     gc.disable()
     sys.setswitchinterval(SWITCH_S)
     try:
-        with realtime(MAKER_PRIORITY) as got:
-            yield got
+        with realtime(MAKER_PRIORITY) as priority:
+            yield priority
     finally:
         sys.setswitchinterval(interval_s)
         if collects:

@@ -154,7 +154,7 @@ def autd2018_2x2() -> Array:
     and above in the right column, whose units are rotated by 180 degrees."""
     board = autd_board()
     # from the centre of the board to that of its sites, which reach the right and upper edges of the board
-    aside = [
+    offset = [
         (outer - ((count - 1) * AUTD_PITCH_M + TRANSDUCER_DIAMETER_M)) / 2
         for outer, count in zip(AUTD_BOARD_M, (AUTD_COLUMNS, AUTD_ROWS), strict=True)
     ]
@@ -163,7 +163,7 @@ def autd2018_2x2() -> Array:
         turn = np.diag([-side, -side, 1.0])
         for step in (-1.0, 1.0):
             centre = np.array([side * AUTD_BOARD_M[0] / 2, step * AUTD_BOARD_M[1] / 2, 0.0])
-            units.append(placed(board, centre + turn @ [*aside, 0.0], turn))
+            units.append(placed(board, centre + turn @ [*offset, 0.0], turn))
     return centred(combined(units, "autd2018_2x2"))
 
 

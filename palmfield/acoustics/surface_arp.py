@@ -225,10 +225,10 @@ class SurfaceArp:
         """
         evaluator, frames = self.field.evaluators[0], len(drives)
         result = np.empty((frames, self.count), np.float32)
-        alike = len(self._group_drives) == 1 and self.field.mode == "fast" and shades is None
+        uniform = len(self._group_drives) == 1 and self.field.mode == "fast" and shades is None
         if frames == 0 or self.count == 0:
             return result
-        by_matrix = alike and frames >= MATRIX_FROM
+        by_matrix = uniform and frames >= MATRIX_FROM
         transfer = self._stored_matrix(points, normals) if by_matrix else None
         if by_matrix and transfer is None:
             # Imported here, because few scenes have so many drives at once

@@ -79,8 +79,8 @@ T = TypeVar("T", bound=Config)
 
 def known_keys(model: type[Config]) -> list[str]:
     """Return all keys that MuJoCo must accept in a scene: the present keys and the renamed ones."""
-    gone = [name for name in model.renamed if "=" not in name and name not in model.model_fields]
-    return [*model.model_fields, *gone]
+    removed = [name for name in model.renamed if "=" not in name and name not in model.model_fields]
+    return [*model.model_fields, *removed]
 
 
 def parse(model: type[Config], values: dict[str, str], element: str) -> Config:

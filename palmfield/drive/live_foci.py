@@ -22,7 +22,7 @@ class LiveFocus(NamedTuple):
     level: float
 
 
-class Came(NamedTuple):
+class ReceivedFocus(NamedTuple):
     """A received focus. number: from 1 on; time_s: of arrival, on time.monotonic() [s]"""
 
     number: int
@@ -76,10 +76,10 @@ class FocusListener(LineListener):
     def __init__(self, offset: Float, host: str = "127.0.0.1", port: int = 0, by: By = "udp") -> None:
         """offset: as of `read_focus`; port: 0 for any free one. Raises DeviceError for a foreign address"""
         self._offset = offset
-        self._newest: Came | None = None
+        self._newest: ReceivedFocus | None = None
         super().__init__(host, port, by)
 
-    def next(self, after: int, timeout_s: float) -> Came | None:
+    def next(self, after: int, timeout_s: float) -> ReceivedFocus | None:
         """Return the newest focus if its number differs from this one; waits for it at most this time [s], else None.
 
         Raises DeviceError if none can arrive any more.
@@ -92,5 +92,5 @@ class FocusListener(LineListener):
 
     def read_line(self, line: bytes, came_s: float) -> None:
         focus = read_focus(line, self._offset)
-        self._newest = Came(self.received + 1, focus, came_s)
+        self._newest = ReceivedFocus(self.received + 1, focus, came_s)
         self.received += 1

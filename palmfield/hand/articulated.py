@@ -151,13 +151,13 @@ def _abduction(
     """Return the joint about the dorsal direction of the digit."""
     palmar = np.array([0.0, 0.0, -1.0])
     if digit == "thumb":
-        aside, place = palmar, "cmc"
+        side, place = palmar, "cmc"
         inside = preset.digits["thumb"].palmar_deg
         low, high = -inside, THUMB_ABDUCTION_deg - inside
     else:
-        aside, place = (-ulnar if digit == "index" else ulnar), "mcp"
+        side, place = (-ulnar if digit == "index" else ulnar), "mcp"
         low, high = RANGES_deg["mcp_abduction"]
-    sideways = flexion_axis * np.sign(flexion_axis @ aside)
+    sideways = flexion_axis * np.sign(flexion_axis @ side)
     return HandJoint(f"{digit}_{place}_abduction", bone, pivot, unit(np.cross(along, sideways)), 0.0, low, high)
 
 

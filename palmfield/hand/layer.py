@@ -158,16 +158,16 @@ def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, 
     edges, length = edge_lengths(vertices, faces)
     flat = wedge_quality(vertices, faces, inward, np.zeros(len(vertices)))
     floor = LEAST_QUALITY * np.minimum(1.0, flat / SOUND_TRIANGLE)
-    got = requested * _neighbour_min(np.minimum(1.0, limit / requested), faces)
+    thickness = requested * _neighbour_min(np.minimum(1.0, limit / requested), faces)
     while True:
-        got = _rising_gently(got, edges, STEEPEST_RISE * length)
-        quality = wedge_quality(vertices, faces, inward, got)
+        thickness = _rising_gently(thickness, edges, STEEPEST_RISE * length)
+        quality = wedge_quality(vertices, faces, inward, thickness)
         poor = (quality < floor) | (quality <= 0.0)
         if not poor.any():
-            return got, quality
+            return thickness, quality
         touched = np.unique(faces[poor])
-        got[touched] *= 0.9
-        if (got[touched] / requested[touched]).min() < LEAST_RATIO:
+        thickness[touched] *= 0.9
+        if (thickness[touched] / requested[touched]).min() < LEAST_RATIO:
             worst = int(np.argmin(np.where(poor, quality - floor, np.inf)))
             place = vertices[faces[worst]].mean(axis=0) * 1e3
             raise SceneError(

@@ -82,21 +82,21 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     extent = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0
     if extent == 0.0:
         raise SceneError(f"mesh {file}: all {len(vertices)} vertices lie in one point; export it again")
-    mended = repair(vertices, faces)
+    repaired = repair(vertices, faces)
     # After dropping parts, because a separate fragment would change the length of the hand
-    used = mended.vertices[np.unique(mended.faces)] if len(mended.faces) else finite
+    used = repaired.vertices[np.unique(repaired.faces)] if len(repaired.faces) else finite
     length, breadth, _ = np.ptp(used @ plane_axes(used).T, axis=0)
     tips = DIGITS
     if unit == "auto" and by_format is None:
-        tips = len(fingertips(mended.vertices, mended.faces)) if len(mended.faces) else 0
+        tips = len(fingertips(repaired.vertices, repaired.faces)) if len(repaired.faces) else 0
     scale = choose_unit(unit, by_format, float(length), float(breadth), f"mesh {file}", tips)
     if rig is not None:
-        rig = SkinRig(rig.joints, mended.carry @ rig.weights)
-        if not mended.refused:
-            rig = _in_a_tree(rig, mended)
-    points, corners = mended.vertices * scale.metres, mended.faces
-    findings = [Finding(f.name, f.count, f.outcome, f.places * scale.metres, f.text) for f in mended.findings]
-    if longest_edge_m is not None and not mended.refused:
+        rig = SkinRig(rig.joints, repaired.carry @ rig.weights)
+        if not repaired.refused:
+            rig = _in_a_tree(rig, repaired)
+    points, corners = repaired.vertices * scale.metres, repaired.faces
+    findings = [Finding(f.name, f.count, f.outcome, f.places * scale.metres, f.text) for f in repaired.findings]
+    if longest_edge_m is not None and not repaired.refused:
         long = edge_lengths(points, corners)[1] > longest_edge_m
         if long.any():
             finer, corners = split_long_edges(points, corners, longest_edge_m)
@@ -109,18 +109,18 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     return Examined(points, corners, scale, findings, rig, len(vertices), len(faces))
 
 
-def _in_a_tree(rig: SkinRig, mended: Repair) -> SkinRig:
+def _in_a_tree(rig: SkinRig, repaired: Repair) -> SkinRig:
     """Return the rig with its joints in a tree; a change is added to the findings."""
-    rig, moved, how = joined(rig, mended.vertices, way_from_wrist(mended.vertices, mended.faces))
+    rig, moved, how = joined(rig, repaired.vertices, way_from_wrist(repaired.vertices, repaired.faces))
     places, children = (
         rig.joints.rest[moved, :3, 3],
         f"{len(moved)} joints had no hierarchy; the parent of each was set to",
     )
     if how == "names":
-        mended.note("sibling joints", len(moved), "repaired", places, f"{children} the previous joint by name")
+        repaired.note("sibling joints", len(moved), "repaired", places, f"{children} the previous joint by name")
     elif how == "skin":
         text = "the joint with which it shares most skin (its name gives no order); check the bodies in the MJCF"
-        mended.note("sibling joints", len(moved), "noted", places, f"{children} {text}")
+        repaired.note("sibling joints", len(moved), "noted", places, f"{children} {text}")
     return rig
 
 

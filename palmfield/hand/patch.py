@@ -107,16 +107,16 @@ def _made(
     corners, weights = over_plane(fitted.plane, fitted.faces, plane)
     depth = np.einsum("ij,ij->i", weights, fitted.depth[corners])
     inward = inward_directions(vertices, faces)
-    got, quality = fit_thickness(vertices, faces, inward, depth, np.full(len(depth), np.inf))
+    depths, quality = fit_thickness(vertices, faces, inward, depth, np.full(len(depth), np.inf))
 
     report = mesh_report(vertices, faces, face_normals(vertices, faces)[1], quality)
     report["share_thinned"] = float(np.mean(fitted.depth < 0.999 * fitted.requested))
-    for name, value, least in (("asked", fitted.requested, requested), ("got", fitted.depth, got)):
+    for name, value, least in (("asked", fitted.requested, requested), ("got", fitted.depth, depths)):
         report[f"depth_{name}_min_m"] = float(least.min())
         report[f"depth_{name}_p10_m"] = float(np.percentile(value, 10.0))
         report[f"depth_{name}_mean_m"] = float(value.mean())
     report["through_m"] = float(np.median(way))
-    made: cache.Arrays = dict(zip(MADE, (vertices, faces, inward, got, on_rim(faces, len(vertices))), strict=True))
+    made: cache.Arrays = dict(zip(MADE, (vertices, faces, inward, depths, on_rim(faces, len(vertices))), strict=True))
     return made | {"report_names": np.array(list(report)), "report": np.array(list(report.values()), dtype=np.float64)}
 
 

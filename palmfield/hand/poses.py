@@ -73,7 +73,7 @@ def _pinch(hand: ArticulatedHand, rest: dict[str, float]) -> dict[str, float]:
         for digit, names in (("thumb", ("proximal", "distal")), ("index", ("proximal", "middle", "distal")))
     }
 
-    def misses(x: Float) -> Float:
+    def residuals(x: Float) -> Float:
         angles[moving] = x
         positions, rotations = poses_at(hand, angles)
         thumb, index = (posed_landmark(hand, f"{digit}_pad", positions, rotations) for digit in tips)
@@ -94,7 +94,7 @@ def _pinch(hand: ArticulatedHand, rest: dict[str, float]) -> dict[str, float]:
         )
 
     # The start is in the middle of the ranges, because the method needs a start inside the bounds.
-    solution = scipy.optimize.least_squares(misses, 0.7 * start + 0.15 * (low + high), bounds=(low, high)).x
+    solution = scipy.optimize.least_squares(residuals, 0.7 * start + 0.15 * (low + high), bounds=(low, high)).x
     return rest | {hand.joints[n].name: float(a) for n, a in zip(moving, solution, strict=True)}
 
 

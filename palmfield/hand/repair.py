@@ -147,9 +147,9 @@ def _merge(mesh: Repair) -> None:
 def _drop_degenerate(mesh: Repair) -> None:
     """Remove faces without area if two corners coincide; otherwise flip the edge of their longest side."""
     faces = mesh.faces
-    alike = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    places = [mesh.vertices[faces[alike]].mean(axis=1)]
-    faces = faces[~alike]
+    repeated = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    places = [mesh.vertices[faces[repeated]].mean(axis=1)]
+    faces = faces[~repeated]
     sides = np.stack(
         [np.linalg.norm(mesh.vertices[faces[:, (i + 1) % 3]] - mesh.vertices[faces[:, i]], axis=1) for i in range(3)]
     )
@@ -199,9 +199,9 @@ def _drop_fins(mesh: Repair) -> None:
         fins = [s for s in hanging & loose if area[s] < FIN_SHARE * whole]
         if not fins:
             break
-        gone = np.isin(sheet, fins)
-        removed += int(gone.sum())
-        mesh.faces = mesh.faces[~gone]
+        removed_faces = np.isin(sheet, fins)
+        removed += int(removed_faces.sum())
+        mesh.faces = mesh.faces[~removed_faces]
         edges, count = unique_edges(mesh.faces)
         bad = edges[count > 2]
     if removed:
@@ -253,9 +253,9 @@ def _drop_crumbs(mesh: Repair) -> None:
     shells = [b for b in others if _within(mesh.vertices, mesh.faces[label == largest], mesh.faces[label == b])]
     text = "bodies inside the largest one, which sound does not reach, were removed"
     mesh.note("inner shells", len(shells), "repaired", np.array([middle[b] for b in shells]), text)
-    gone = np.union1d(crumbs, shells)
-    mesh.faces = mesh.faces[~np.isin(label, gone)]
-    bodies = np.setdiff1d(np.arange(len(area)), gone)
+    removed_faces = np.union1d(crumbs, shells)
+    mesh.faces = mesh.faces[~np.isin(label, removed_faces)]
+    bodies = np.setdiff1d(np.arange(len(area)), removed_faces)
     if len(bodies) > 1:
         text = f"it has {len(bodies)} separate bodies; keep only the hand"
         mesh.note("several bodies", len(bodies), "refused", np.array([middle[b] for b in bodies]), text)

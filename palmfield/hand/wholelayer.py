@@ -87,12 +87,12 @@ def hand_layer(
     way = exit_distances(vertices, everything, points, down, float(np.ptp(vertices, axis=0).sum()))
     upright = upright_cosine(points, corners, down)
     along = requested[used] / upright
-    got, quality = fit_thickness(points, corners, down, along, max_fraction * way)
+    thickness, quality = fit_thickness(points, corners, down, along, max_fraction * way)
 
     full = np.zeros(len(vertices))
-    full[used] = got * upright
+    full[used] = thickness * upright
     integral = thickness_integral(vertices, everything, full, chosen)
-    patch = Patch(points, corners, down, got, on_rim(corners, len(used)))
+    patch = Patch(points, corners, down, thickness, on_rim(corners, len(used)))
     report = _report(patch, requested[used], max_fraction * way, quality, integral)
     report |= _sheet_report(patch, shares)
     report |= {"vertices_moved": float((moved > 0.0).sum()), "moved_most_m": float(moved.max())}
@@ -163,19 +163,19 @@ def percentile(values: Float, weights: Float, percent: float) -> float:
 
 def _report(patch: Patch, requested: Float, limit: Float, quality: Float, integral: float) -> dict[str, float]:
     points, upright = patch.vertices, upright_cosine(patch.vertices, patch.faces, patch.inward)
-    got, limit = patch.depth * upright, limit * upright
+    thickness, limit = patch.depth * upright, limit * upright
     area = vertex_areas(points, patch.faces)
     share = area / area.sum()
     volume = layer_volume(points, patch.faces, patch.inward, patch.depth)
     report = mesh_report(points, patch.faces, area, quality) | {
-        "p10_share": percentile(got / requested, area, 10.0),
-        "area_thinned": float(share[got < THINNED * requested].sum()),
+        "p10_share": percentile(thickness / requested, area, 10.0),
+        "area_thinned": float(share[thickness < THINNED * requested].sum()),
         "area_limited": float(share[limit < THINNED * requested].sum()),
         "volume_m3": volume,
         "thickness_integral_m3": integral,
         "volume_share": volume / integral,
     }
-    for name, value in (("asked", requested), ("got", got)):
+    for name, value in (("asked", requested), ("got", thickness)):
         report[f"depth_{name}_min_m"] = float(value.min())
         report[f"depth_{name}_p10_m"] = percentile(value, area, 10.0)
         report[f"depth_{name}_mean_m"] = float(share @ value)

@@ -125,18 +125,18 @@ class _Live:
         while (now := time.monotonic()) < ends_s:
             self.player.check()
             waits = am_Hz <= 0.0 or playing is None
-            came = self.listener.next(after, min(LOOK_S, ends_s - now) if waits else 0.0)
+            received = self.listener.next(after, min(LOOK_S, ends_s - now) if waits else 0.0)
             now = time.monotonic()
-            if came is not None:
-                after = came.number
-                if now - came.time_s > STALE_S:
-                    self.listener.skip("stale", f"a focus was {now - came.time_s:.2g} s old when it was due")
-                    came = None
-            if came is not None:
-                unit = self._unit(came.focus)
-                playing = playing if unit is None else (came.focus, unit, came.time_s)
+            if received is not None:
+                after = received.number
+                if now - received.time_s > STALE_S:
+                    self.listener.skip("stale", f"a focus was {now - received.time_s:.2g} s old when it was due")
+                    received = None
+            if received is not None:
+                unit = self._unit(received.focus)
+                playing = playing if unit is None else (received.focus, unit, received.time_s)
                 if unit is not None and am_Hz <= 0.0:
-                    self._send(came.focus, unit, 1.0, came.time_s, 0.0, first=True)
+                    self._send(received.focus, unit, 1.0, received.time_s, 0.0, first=True)
                     muted = False
             if playing is not None and now - playing[2] > STALE_S:
                 playing = None
@@ -147,7 +147,7 @@ class _Live:
                 due_s = max(due_s + period_s, now + board.frame_time_s)
                 time.sleep(max(0.0, due_s - board.frame_time_s - AHEAD_S - now))
                 share = am_share(due_s - began_s, am_Hz)
-                self._send(playing[0], playing[1], share, playing[2], due_s, first=came is not None)
+                self._send(playing[0], playing[1], share, playing[2], due_s, first=received is not None)
                 muted = False
 
     def _unit(self, focus: LiveFocus) -> Complex | None:

@@ -76,16 +76,16 @@ def wake_along_path(
     share("threshold", threshold)
     size, places = np.abs(np.asarray(velocity, dtype=float)), np.asarray(places_m, dtype=float)
     finite("the velocity", size)
-    gone = places <= arc_m
+    passed = places <= arc_m
     nearby = np.asarray(near, dtype=bool)
-    if nearby.shape != (len(places), len(size)) or not gone.any():
+    if nearby.shape != (len(places), len(size)) or not passed.any():
         raise MeasurementError(
             f"near has shape {nearby.shape}; give ({len(places)}, {len(size)}), and places that lie behind {arc_m:g} m"
         )
-    envelope = np.where(nearby[gone], size, 0.0).max(axis=1)
+    envelope = np.where(nearby[passed], size, 0.0).max(axis=1)
     envelope = envelope / _largest(envelope)
     still = np.flatnonzero(envelope < threshold)
-    return float(arc_m - (places[still[-1]] if len(still) else 0.0)), arc_m - places[gone], envelope
+    return float(arc_m - (places[still[-1]] if len(still) else 0.0)), arc_m - places[passed], envelope
 
 
 def wake_area(normal_velocity: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, *, threshold: float = 0.1) -> float:

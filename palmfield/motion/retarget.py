@@ -289,7 +289,7 @@ class _Fit:
         # Cached, because the solver evaluates misses and slopes at the same angles
         at = lru_cache(maxsize=1)(lambda angles: self._placed(np.frombuffer(angles)))
 
-        def misses(x: Float) -> Float:
+        def residuals(x: Float) -> Float:
             parts = at(x.tobytes()).joints - targets
             return np.concatenate([(parts * used[:, :, None]).ravel(), TO_BEFORE_m_deg * (x - start)])
 
@@ -300,7 +300,7 @@ class _Fit:
 
         scale = np.full(len(start), 10.0)
         solution = least_squares(
-            misses, start, slopes, bounds=(self._low, self._high), x_scale=scale, xtol=1e-6, ftol=1e-6
+            residuals, start, slopes, bounds=(self._low, self._high), x_scale=scale, xtol=1e-6, ftol=1e-6
         )
         x = np.clip(solution.x, self._low, self._high)
         tips = np.linalg.norm(at(x.tobytes()).joints[:, -1] - targets[:, -1], axis=1)[used[:, -1]]

@@ -331,9 +331,9 @@ def _uneven(picture: Float) -> NDArray[np.bool_]:
     for marks, values in ((result, picture), (result.T, picture.swapaxes(0, 1))):
         # `any` along three numbers takes ten times as long
         red, green, blue = np.moveaxis(np.abs(np.diff(values, axis=0)) > UNEVEN, -1, 0)
-        apart = red | green | blue
-        marks[:-1] |= apart
-        marks[1:] |= apart
+        uneven = red | green | blue
+        marks[:-1] |= uneven
+        marks[1:] |= uneven
     return result
 
 

@@ -46,10 +46,10 @@ def _crowded(model: HapticModel) -> list[str]:
     """Warn if transducers of an array overlap, because of the unit of positions or the piston radius."""
     result = []
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
-        apart, wide = pitch_m(part.positions), 2.0 * part.piston_radius_m
-        if apart < TOUCHING * wide:
+        pitch, wide = pitch_m(part.positions), 2.0 * part.piston_radius_m
+        if pitch < TOUCHING * wide:
             result.append(
-                f"transducers of array '{array.name}' are {1e3 * apart:.3g} mm apart, but their pistons are "
+                f"transducers of array '{array.name}' are {1e3 * pitch:.3g} mm apart, but their pistons are "
                 f"{1e3 * wide:.3g} mm wide: check the unit of the positions, or set piston_radius_m"
             )
     return result

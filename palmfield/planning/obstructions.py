@@ -76,12 +76,12 @@ def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
 def _met(model: mujoco.MjModel, data: mujoco.MjData, begin: Float, end: Float, expected: set[int]) -> Iterable[int]:
     """Yield other bodies whose geoms a ray hits, each once. begin, end: of the ray in the world [m], shape (3,)."""
     length = float(np.linalg.norm(end - begin)) - END_M
-    way, gone, found = (end - begin) / np.linalg.norm(end - begin), 0.0, set()
+    way, travelled, found = (end - begin) / np.linalg.norm(end - begin), 0.0, set()
     geom = np.zeros(1, np.int32)
     for _ in range(MOST_HITS):
-        step = mujoco.mj_ray(model, data, begin + gone * way, way, None, 1, -1, geom)
-        gone += step + 1e-6
-        if step < 0.0 or gone > length:
+        step = mujoco.mj_ray(model, data, begin + travelled * way, way, None, 1, -1, geom)
+        travelled += step + 1e-6
+        if step < 0.0 or travelled > length:
             break
         body = int(model.geom_bodyid[geom[0]])
         if body not in expected:

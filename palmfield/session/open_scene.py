@@ -332,8 +332,8 @@ def _place(message: str, name: str, text: SceneText | None) -> str:
 
     If the line is unknown, return the name of the scene.
     """
-    meant = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
-    element = text.key(meant[1], meant[2], meant[3] or "") if meant and text is not None else None
+    named = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
+    element = text.key(named[1], named[2], named[3] or "") if named and text is not None else None
     sensor = re.search(r"instance '[^']*': sensor '([^']*)'", message)
     if sensor and text is not None:
         element = text.last("plugin", sensor[1]) or element

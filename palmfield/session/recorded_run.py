@@ -52,8 +52,8 @@ PICTURES: tuple[tuple[str, Callable[..., None]], ...] = (
     ("scene.png", partial(_drawn_by, "render", "render_scene")),
     ("scene.usdc", partial(_drawn_by, "usd.write", "write_usd")),
 )
-"""Functions of a result and a path, and of an `image` if BESIDE has the name."""
-BESIDE: dict[str, Callable[[Any], Any]] = {"scene.png": _scene_image}
+"""Functions of a result and a path, and of an `image` if IN_PARALLEL has the name."""
+IN_PARALLEL: dict[str, Callable[[Any], Any]] = {"scene.png": _scene_image}
 """Images that a thread makes while other pictures are drawn, because ray casting releases the GIL."""
 CONVENTIONS = {
     "time_factor": "e^{-i w t}: a delay is +phase",
@@ -252,12 +252,12 @@ def draw(
     makers = {name: make for name, make in PICTURES if (plots is None if name.endswith(".png") else usd)}
     made = set[str]()
     with ThreadPoolExecutor(1, "palmfield-picture") as thread:
-        beside = {name: thread.submit(begin, tree) for name, begin in BESIDE.items() if name in makers}
-        for name, make in sorted(makers.items(), key=lambda one: one[0] in beside):
+        started = {name: thread.submit(begin, tree) for name, begin in IN_PARALLEL.items() if name in makers}
+        for name, make in sorted(makers.items(), key=lambda one: one[0] in started):
             bar.update(task, description=f"writing {name}")
             try:
                 with phase("plots" if name.endswith(".png") else "USD"), phase(name):
-                    make(tree, out / name, **({"image": beside[name].result()} if name in beside else {}))
+                    make(tree, out / name, **({"image": started[name].result()} if name in started else {}))
                 made.add(name)
             except OutputError as error:
                 LOG.warning("no %s: %s", name, error)

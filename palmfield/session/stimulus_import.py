@@ -81,8 +81,8 @@ def import_stimulus(
     if target.resolve().parent != scene.resolve().parent:
         raise OutputError(f"--out has value {target}; allowed: a file in {scene.resolve().parent}, because "
                           "included files are relative to that folder")  # fmt: skip
-    beside = target.with_name(f"{target.stem}_foci.csv")
-    for one in (target, beside):
+    table_file = target.with_name(f"{target.stem}_foci.csv")
+    for one in (target, table_file):
         if one.exists() and not overwrite:
             raise OutputError(f"{one} exists and would be replaced; give another file by --out, or --overwrite")
     name = _instance(scene, stimulus)
@@ -92,7 +92,7 @@ def import_stimulus(
         site = _site(scene, site)
     elif site is not None:
         raise SceneError(f"--site has value '{site}', but the frame of the table is '{table.frame}'; omit --site")
-    keys = {"path": "file", "path_file": beside.name}
+    keys = {"path": "file", "path_file": table_file.name}
     keys |= {"path_end": "jump"} if again or repeat else {}
     keys |= {"frame": site} if table.frame == "skin" and site is not None else {}
     data, dropped = _rewritten(scene, name, keys)
@@ -103,10 +103,10 @@ def import_stimulus(
         changes: dict[str, object] = {f"{name}.{key}": None for key in dropped if key not in keys}
         changes |= {f"{name}.{key}": value for key, value in keys.items()} | {f"{name}.path_file": str(trial)}
         compiled(scene, keys=changes)
-    write_focus_table(beside, table)
+    write_focus_table(table_file, table)
     with writing(target), whole(target) as part:
         part.write_bytes(data)
-    return Imported(target, beside, name, keys, dropped, table.foci, len(table.samples), table.length_s)
+    return Imported(target, table_file, name, keys, dropped, table.foci, len(table.samples), table.length_s)
 
 
 def _instance(scene: Path, stimulus: str | None) -> str:
@@ -168,8 +168,8 @@ def _rewritten(scene: Path, stimulus: str, keys: dict[str, str]) -> tuple[bytes,
     if instance is None:
         raise SceneError(f"{scene} includes the file that defines stimulus '{stimulus}'; import into that file")
     own = [e for e in elements if e.parent is instance and e.tag == "config"]
-    gone = [e for e in own if e.attributes.get("key") in REPLACED]
-    edits = [without(data, element) for element in gone]
+    replaced = [e for e in own if e.attributes.get("key") in REPLACED]
+    edits = [without(data, element) for element in replaced]
     lines = [f"<config key={quoteattr(key)} value={quoteattr(value)}/>" for key, value in keys.items()]
     start = tag_of(data, instance)
     indent = indent_of(data, own[0]) if own else b""
@@ -178,7 +178,7 @@ def _rewritten(scene: Path, stimulus: str, keys: dict[str, str]) -> tuple[bytes,
         edits.append(Edit(start.end() - 2, start.end(), b">" + text + b"</instance>"))
     else:
         edits.append(Edit(start.end(), start.end(), text))
-    return edited(data, edits), tuple(e.attributes["key"] for e in gone)
+    return edited(data, edits), tuple(e.attributes["key"] for e in replaced)
 
 
 def _is(element: Element, name: str) -> bool:

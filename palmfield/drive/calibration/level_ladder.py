@@ -35,9 +35,9 @@ def fit_level(levels: ArrayLike, pressures_Pa: ArrayLike) -> Level:
     for last in range(len(steps), 3, -1):
         chosen = a <= steps[last - 1]
         slope, error, offset = _line(np.log(a[chosen]), np.log(p[chosen]))
-        gone = 1.0 - p / np.exp(offset + slope * np.log(a))
+        losses = 1.0 - p / np.exp(offset + slope * np.log(a))
         # The mean at each level is tested, because single readings scatter
-        missing = np.array([gone[a == step].mean() for step in steps])
+        missing = np.array([losses[a == step].mean() for step in steps])
         if np.all(missing[:last] <= MISSING) and np.all(missing[last:] > MISSING):
             return Level(exponent=slope, exponent_sd=error, linear_to=float(steps[last - 1]))
     raise PalmfieldError(

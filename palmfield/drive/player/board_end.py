@@ -101,7 +101,7 @@ class BoardEnd:
             self.late_s.append(self.line.free_s(began) - due_s)
             if number >= 0 and self.job.tells_frames:
                 self.numbered.append((number, due_s, len(self.late_s) - 1))
-        self._on_its_way.append(_OnItsWay(self.line.handed, due_s, len(self.late_s) - 1))
+        self._on_its_way.append(_OnItsWay(self.line.written, due_s, len(self.late_s) - 1))
         return True
 
     def on_line(self) -> list[tuple[int, float]]:

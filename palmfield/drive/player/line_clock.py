@@ -15,7 +15,7 @@ class LineClock:
 
     def __init__(self, byte_s: float) -> None:
         self.byte_s = byte_s
-        self.handed = 0
+        self.written = 0
         self._free_s = 0.0
         self._out = 0
         self._moved_s = 0.0
@@ -27,9 +27,9 @@ class LineClock:
 
     def hand(self, count: int, now_s: float) -> float:
         """Record bytes written now; returns when the last of them is on the line."""
-        if self.handed == self._out:
+        if self.written == self._out:
             self._moved_s = now_s
-        self.handed += count
+        self.written += count
         self._free_s = max(self._free_s, now_s) + count * self.byte_s
         return self._free_s
 
@@ -38,7 +38,7 @@ class LineClock:
 
         refused: whether the system takes no more bytes
         """
-        out = self.handed - waiting
+        out = self.written - waiting
         if out > self._out or not (waiting or refused):
             self._moved_s = now_s
         self._out = max(self._out, out)

@@ -258,15 +258,15 @@ class Session:
     def report(self, source: Source | None) -> dict[str, Any]:
         """Report all frames of a source, as `PlayReport`."""
         late = self.board.late_s[self._frames_before :]
-        handed = self.board.write_late_s[self._frames_before :]
+        delays = self.board.write_late_s[self._frames_before :]
         return {
             "frames": self.board.frames - self._frames_before,
             "skipped": 0 if source is None else source.skipped,
             "late_s": max(late, default=0.0),
             "late_p99_s": quantile(late, 0.99),
             "late_p50_s": quantile(late, 0.5),
-            "write_p99_s": quantile(handed, 0.99),
-            "write_worst_s": max(handed, default=0.0),
+            "write_p99_s": quantile(delays, 0.99),
+            "write_worst_s": max(delays, default=0.0),
             "cut": self.board.cut,
             "seconds": now_s() - self.board.begin_s,
             "priority": self.priority,
@@ -320,7 +320,7 @@ def main() -> int:
     for name in ENDS:
         if hasattr(signal, name):
             number = getattr(signal, name)
-            signal.signal(number, lambda got, _: caller.end(f"the player received {signal.Signals(got).name}", True))
+            signal.signal(number, lambda sent, _: caller.end(f"the player received {signal.Signals(sent).name}", True))
     alarm.setblocking(False)
     job = first_job(talk)
     talk.setblocking(False)

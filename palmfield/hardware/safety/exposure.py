@@ -81,7 +81,7 @@ def loudest_in(moments: Sequence[SoundMoment], points: Float) -> Exposure:
     return _at(moments, points[best], float(peaks[best]), int(which[best]))
 
 
-def _apart(points: Float, peaks: Float) -> Float:
+def _separate(points: Float, peaks: Float) -> Float:
     """Return the loudest points at least CLOSER_M apart, CANDIDATES at most, shape (c, 3)."""
     result: list[Float] = []
     for number in np.argsort(-peaks):
@@ -127,7 +127,7 @@ def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: F
     peaks, _ = peaks_at(moments, coarse)
     if not peaks.any():
         return Exposure(middle, 0.0, 0.0)
-    near = [ball_points(place, CLOSER_M, CLOSER_SPACING_M) for place in _apart(coarse, peaks)]
+    near = [ball_points(place, CLOSER_M, CLOSER_SPACING_M) for place in _separate(coarse, peaks)]
     closer = loudest_in(moments, inside(np.concatenate(near)))
     return loudest_in(moments, inside(ball_points(closer.place, CLOSER_SPACING_M, FINEST_SPACING_M)))
 

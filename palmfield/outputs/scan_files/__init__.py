@@ -39,10 +39,10 @@ def read_scan(path: str | Path) -> Scan:
             f"{file}: the file's kind is '{file.suffix}'; allowed: {', '.join(READERS)}, or a folder"
         )
     scan = reader(file)
-    apart = float(np.ptp(scan.points, axis=0).max())
-    if apart > LARGEST_M:
+    extent = float(np.ptp(scan.points, axis=0).max())
+    if extent > LARGEST_M:
         raise MeasurementError(
-            f"{file}: its points are {apart:.3g} m apart; allowed: at most {LARGEST_M:g} m: give positions in metres"
+            f"{file}: its points are {extent:.3g} m apart; allowed: at most {LARGEST_M:g} m: give positions in metres"
         )
     return scan
 

@@ -19,7 +19,7 @@ from palmfield.types import Float, Int
 
 SLICE_STEP_M = 1.5e-3
 """Spacing of points of the slice [m], a sixth of a wavelength."""
-BESIDE_M = 0.05
+MARGIN_M = 0.05
 """Distance by which the slice extends beyond the foci on both sides [m]."""
 BEGINS_M, BEYOND_M = 0.01, 0.04
 """Distances of the ends of the slice from the array and beyond the focus [m]."""
@@ -89,7 +89,7 @@ def _grid(result: xr.DataTree, array: xr.Dataset, times: tuple[float, ...]) -> _
     middle = foci.mean(axis=0)
     spread = np.linalg.svd((foci - middle)[:, :2])[2][0] if len(foci) > 1 else np.array([1.0, 0.0])
     places = (foci - middle)[:, :2] @ spread
-    across = np.arange(places.min() - BESIDE_M, places.max() + BESIDE_M, SLICE_STEP_M)
+    across = np.arange(places.min() - MARGIN_M, places.max() + MARGIN_M, SLICE_STEP_M)
     ahead = np.arange(BEGINS_M, foci[:, 2].max() + BEYOND_M, SLICE_STEP_M)
     side, away = np.meshgrid(across, ahead, indexing="ij")
     flat = middle[:2] + side.ravel()[:, None] * spread

@@ -15,7 +15,7 @@ from palmfield.types import Float
 
 ROUND_OFF = 1e-6
 """Share of the spacing of points by which a point or its area may reach over the side of a slab."""
-BESIDE = 0.05
+SLACK = 0.05
 """The same over the rim of a layer, whose triangles lie slightly off the surface that they represent."""
 PARTS = 3
 """Number of places along a cell of the face over which its pressure is averaged."""
@@ -35,9 +35,9 @@ def on_body(body: Body, load: Load) -> Load:
     spacing = np.sqrt(load.weights_m2)
     net = seen_from_above(load)
     if net is None:
-        on = off_face(body, load.points) <= (BESIDE if isinstance(body, Layer) else ROUND_OFF) * spacing
+        on = off_face(body, load.points) <= (SLACK if isinstance(body, Layer) else ROUND_OFF) * spacing
         return load if on.all() else _part(load, on)
-    slack = BESIDE if isinstance(body, Layer) else ROUND_OFF
+    slack = SLACK if isinstance(body, Layer) else ROUND_OFF
     if np.all(off_face(body, net.points) <= slack * spacing[net.owner]):
         return load
     places, weights, parts = _face(body, float(np.median(spacing)))

@@ -78,8 +78,8 @@ def _shares(
 ) -> sparse.csr_matrix:
     count = min(NEIGHBOURS, len(points))
     far, chosen = (part.reshape(len(places), count) for part in tree.query(places, count))
-    alike = np.einsum("qkc,qc->qk", normals[chosen], facing) > SAME_SIDE
-    far = np.where(alike, far, np.inf)
+    same_side = np.einsum("qkc,qc->qk", normals[chosen], facing) > SAME_SIDE
+    far = np.where(same_side, far, np.inf)
     first = far.argmin(axis=1)
     rows = np.arange(len(places))
     step = spacing[chosen[rows, first]]

@@ -39,9 +39,9 @@ def draw_again(sim: Simulation, seed: int) -> None:
 
 def drawn_stimulus(config: StimulusConfig, rng: np.random.Generator) -> StimulusConfig:
     """Return the keys of a stimulus with another focus, level, path size and speed."""
-    aside = rng.uniform(-ASIDE_m, ASIDE_m, 2)
+    offset = rng.uniform(-ASIDE_m, ASIDE_m, 2)
     level, size, speed = (rng.uniform(*limits) for limits in (LEVELS, SIZES, SPEEDS))
-    changes: dict[str, Any] = {"focus_m": tuple(np.add(config.focus_m, [*aside, 0.0]).tolist())}
+    changes: dict[str, Any] = {"focus_m": tuple(np.add(config.focus_m, [*offset, 0.0]).tolist())}
     if config.arp_peak_Pa is not None:
         changes["arp_peak_Pa"] = level * config.arp_peak_Pa
     else:
@@ -62,7 +62,7 @@ def drawn_stimulus(config: StimulusConfig, rng: np.random.Generator) -> Stimulus
 def move_arrays(model: mujoco.MjModel, sites: tuple[int, ...], rng: np.random.Generator) -> None:
     """Move and rotate all bodies that carry arrays by the same amount, or the arrays' sites if they lie in the
     world."""
-    aside = rng.uniform(-ASIDE_m, ASIDE_m, 3)
+    offset = rng.uniform(-ASIDE_m, ASIDE_m, 3)
     turn = rng.uniform(-TILT_rad, TILT_rad, 3)
     angle = float(np.linalg.norm(turn))
     quaternion = np.zeros(4)
@@ -73,7 +73,7 @@ def move_arrays(model: mujoco.MjModel, sites: tuple[int, ...], rng: np.random.Ge
         else:
             places = [(model.site_pos, model.site_quat, n) for n in range(model.nsite) if model.site_bodyid[n] == 0]
         for positions, quaternions, number in places:
-            positions[number] += aside
+            positions[number] += offset
             turned = np.zeros(4)
             mujoco.mju_mulQuat(turned, quaternion, quaternions[number])
             quaternions[number] = turned

@@ -34,8 +34,8 @@ def wild(measured: Scan, computed: Scan) -> NDArray[np.bool_]:
     """
     theirs, ours = (np.sqrt(np.mean(scan.values**2, axis=0)) for scan in (measured, computed))
     count = min(NEIGHBOURS, len(theirs) - 1)
-    beside = cKDTree(measured.points).query(measured.points, k=count + 1)[1][:, 1:]
-    alone = theirs > WILD * theirs[beside].max(axis=1)
+    neighbours = cKDTree(measured.points).query(measured.points, k=count + 1)[1][:, 1:]
+    alone = theirs > WILD * theirs[neighbours].max(axis=1)
     level = float(np.median(theirs / ours))
     return np.asarray(alone & (theirs > WILD * level * ours.max()))
 
@@ -81,10 +81,10 @@ def suspected_faults(
             f"a delay of {1e3 * late:.4g} ms fits better than any within {1e3 * most_delay_s:.3g}: correct "
             "trigger_s, or give a larger --most-delay"
         )
-    apart = float(np.linalg.norm(middle(measured) - middle(computed)))
-    if len(measured.points) > 3 and apart > max(LEAST_APART_M, 0.5 * pitch(measured.points)):
+    offset_m = float(np.linalg.norm(middle(measured) - middle(computed)))
+    if len(measured.points) > 3 and offset_m > max(LEAST_APART_M, 0.5 * pitch(measured.points)):
         found.append(
-            f"the maximum of the measured motion lies {1e3 * apart:.2g} mm from that of the computed motion: check "
+            f"the maximum of the measured motion lies {1e3 * offset_m:.2g} mm from that of the computed motion: check "
             "the position of the scan on the skin, and of the focus on the specimen"
         )
     folded = above(motion, 0.5 / step)

@@ -78,9 +78,9 @@ def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, 
         if several is not None:
             result.append(several)
             continue
-        for alike in by_load.values():
-            loudest = max(alike, key=lambda number: _level(own[number]))
-            result.append(Group(tuple(alike), own[loudest], Shared() if len(alike) > 1 else None))
+        for members in by_load.values():
+            loudest = max(members, key=lambda number: _level(own[number]))
+            result.append(Group(tuple(members), own[loudest], Shared() if len(members) > 1 else None))
     return sorted(result, key=lambda group: group.points[0])
 
 

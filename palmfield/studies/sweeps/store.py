@@ -155,14 +155,14 @@ class SweepStore:
             arrays, self._coordinates(labels), {**attributes, "identity": _text(attributes["identity"])}
         )
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        aside = self.path.with_name(f".{DATASET}.{uuid.uuid4().hex}")
+        temporary = self.path.with_name(f".{DATASET}.{uuid.uuid4().hex}")
         try:
             dataset.to_zarr(
-                aside, compute=False, encoding=encoding, zarr_format=3, consolidated=False, safe_chunks=False
+                temporary, compute=False, encoding=encoding, zarr_format=3, consolidated=False, safe_chunks=False
             )
-            os.replace(aside, self.path)
+            os.replace(temporary, self.path)
         finally:
-            shutil.rmtree(aside, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
 
     def _chunks(self, variable: Variable, shape: tuple[int, ...]) -> tuple[int, ...]:
         points = len(self.design.shape)

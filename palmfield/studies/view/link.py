@@ -34,7 +34,7 @@ class Link(Closing):
         talk.close()
         self._inbox: queue.SimpleQueue[FromPage | None] = queue.SimpleQueue()
         self._outbox: queue.SimpleQueue[FromSimulation] = queue.SimpleQueue()
-        self.gone = False
+        self.closed = False
         try:
             self.address = self._first_word()
         except BaseException:
@@ -73,7 +73,7 @@ class Link(Closing):
         self._outbox.put(message)
 
     def received(self, wait_s: float = 0.0) -> list[FromPage]:
-        """Return messages since the last call; wait up to `wait_s` [s] for one. Sets `gone` if the page has ended."""
+        """Return messages since the last call; wait up to `wait_s` [s] for one. Sets `closed` if the page has ended."""
         messages: list[FromPage] = []
         if not wait_s and self._inbox.empty():
             return messages
@@ -81,7 +81,7 @@ class Link(Closing):
             while True:
                 one = self._inbox.get(timeout=wait_s) if wait_s and not messages else self._inbox.get_nowait()
                 if one is None:
-                    self.gone = True
+                    self.closed = True
                     break
                 messages.append(one)
         return messages

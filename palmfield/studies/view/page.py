@@ -245,13 +245,13 @@ class Page:
         skin = np.concatenate([points for points, _ in pose.skins]).mean(axis=0)
         axis = directions.mean(axis=0)
         axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
-        beside = np.cross(axis, (0.0, 1.0, 0.0) if abs(axis[1]) < 0.9 else (1.0, 0.0, 0.0))
-        beside = beside / np.linalg.norm(beside)
-        ahead = np.cross(beside, axis)
+        sideways = np.cross(axis, (0.0, 1.0, 0.0) if abs(axis[1]) < 0.9 else (1.0, 0.0, 0.0))
+        sideways = sideways / np.linalg.norm(sideways)
+        ahead = np.cross(sideways, axis)
         far = max(float(np.linalg.norm(skin - array)), 0.1)
         middle = array + 0.62 * (skin - array)
         camera = self._server.initial_camera
-        camera.position = tuple(middle + far * (0.85 * beside + 0.9 * ahead - 0.38 * axis))
+        camera.position = tuple(middle + far * (0.85 * sideways + 0.9 * ahead - 0.38 * axis))
         camera.look_at = tuple(middle)
 
     def _controls(self, scene: messages.SceneShown) -> None:

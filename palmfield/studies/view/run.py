@@ -408,7 +408,7 @@ def view(
             run_for(live, link, end)
         finally:
             live.stop_recording("the live view has ended")
-        if link.gone and not end.requested:
+        if link.closed and not end.requested:
             raise OutputError("the page process has ended, and so has the view; the recordings are complete")
 
 
@@ -430,7 +430,7 @@ class Ending:
 def run_for(live: ShownScene, link: Link, end: Ending) -> None:
     """Step a scene and answer its page, until the page has ended or a signal requests the end."""
     wait_s = 0.0
-    while not (link.gone or end.requested):
+    while not (link.closed or end.requested):
         for message in link.received(wait_s):
             live.receive(message)
         wait_s = live.go_on()

@@ -46,8 +46,8 @@ def test_a_little_that_is_always_behind_is_found_and_old_news_are_not():
         now = 1.0 + n * 1e-3
         if n % 10 == 0:
             line.hand(10, now)
-        out = min(line.handed, max(0.0, now - 1.0 - behind) * 1e3)
-        line.note_waiting(line.handed - int(out), now, refused=False)
+        out = min(line.written, max(0.0, now - 1.0 - behind) * 1e3)
+        line.note_waiting(line.written - int(out), now, refused=False)
         heard = line.free_s(now)
     assert heard == pytest.approx(1.2 + behind, abs=1.5e-3)
     line = LineClock(1e-3)
@@ -57,7 +57,7 @@ def test_a_little_that_is_always_behind_is_found_and_old_news_are_not():
         if n % 10 == 0:
             line.hand(10, now)
         if n % 4 == 0:
-            out = min(line.handed, (now - 1.0) * 1e3)
-        line.note_waiting(line.handed - round(out), now, refused=False)
+            out = min(line.written, (now - 1.0) * 1e3)
+        line.note_waiting(line.written - round(out), now, refused=False)
         heard = line.free_s(now)
     assert heard == pytest.approx(1.2, abs=1.5e-3)

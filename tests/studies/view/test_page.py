@@ -260,4 +260,4 @@ def test_a_view_whose_page_is_killed_ends_too(module_scene, tmp_path):
     with Link(Address("127.0.0.1", None, "", 10.0)) as link:
         os.kill(link.pid, signal.SIGKILL)
         run_for(live, link, Ending())
-        assert link.gone
+        assert link.closed

@@ -38,8 +38,8 @@ def wavefronts(result: xr.DataTree, options: Options) -> Figure:
     faces = skin["face"].values
     spacing = float(np.median(np.linalg.norm(at_rest[faces[:, 0]] - at_rest[faces[:, 1]], axis=1)))
     along = (at_rest - middle) @ way
-    beside = np.linalg.norm(at_rest - middle - along[:, None] * way, axis=1)
-    near = np.flatnonzero(beside <= spacing)
+    distance = np.linalg.norm(at_rest - middle - along[:, None] * way, axis=1)
+    near = np.flatnonzero(distance <= spacing)
     if len(near) < FEWEST:
         raise OutputError(f"{len(near)} vertices lie near the line; needed: {FEWEST} or more; give points on the skin")
     order = near[np.argsort(along[near])]
