@@ -42,7 +42,7 @@ _warned: set[str] = set()
 
 
 class Entry(NamedTuple):
-    """A result on disk. kind: of result; used: time of last use [s since the epoch]"""
+    """A result on disk. kind: kind of result; used: time of last use [s since the epoch]"""
 
     path: Path
     kind: str

@@ -93,7 +93,7 @@ class SharedArray:
     On the CPU both use the same memory. On a GPU `host` is pinned memory. `upload` and `download` copy in the order of
     the stream of the device; synchronise it (`wp.synchronize_stream`) before downloaded data in `host` are read.
 
-    shape: of the Warp array; dtype: its type, for example wp.vec3; device: of `resolve`
+    shape: shape of the Warp array; dtype: its type, for example wp.vec3; device: as returned by `resolve`
     """
 
     def __init__(self, shape: int | tuple[int, ...], dtype: Any, device: str) -> None:
@@ -134,7 +134,7 @@ class SharedBlock:
     """Several arrays of fixed size in one block of memory, which is copied to or from the device in one operation.
 
     hosts, arrays: by name, as `host` and `array` of a SharedArray; nbytes: size of the memory
-    parts: shape and Warp type by name; device: of `resolve`
+    parts: shape and Warp type by name; device: as returned by `resolve`
     """
 
     def __init__(self, parts: Mapping[str, tuple[tuple[int, ...], Any]], device: str) -> None:
@@ -405,7 +405,7 @@ def recorded(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], dev
     tested version of Warp, they are packed once here, and a launch takes 1 us. `wp.ScopedCapture` does not record such
     a launch.
 
-    device: of `resolve`; on a GPU blocks have 128 threads
+    device: as returned by `resolve`; on a GPU blocks have 128 threads
     """
     command = run_kernel(kernel, dim, inputs, device=device, block_dim=THREADS, record_cmd=True)
     if device != "cpu" or command.block_dim != 1 or not wp.__version__.startswith(DIRECT_LAUNCH):

@@ -36,7 +36,7 @@ class Times:
     """Times of a phase including all phases inside it.
 
     cpu_s: user and system time of its thread and of helper threads without their own phase [s].
-    wall_s: of the measured thread [s]. beside_s: of other threads, parallel to other phases [s].
+    wall_s: wall time of the measured thread [s]. beside_s: time of other threads, parallel to other phases [s].
     calls: number of calls. peak_bytes: highest resident memory of the process until its last end.
     """
 

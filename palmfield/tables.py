@@ -50,7 +50,7 @@ def pop_columns(
 ) -> Float:
     """Remove columns that belong together from a table and return them, shape (rows, names); `error` if one is missing.
 
-    file: for messages; columns: of `read_table`
+    file: file for messages; columns: as returned by `read_table`
     """
     missing = [name for name in names if name not in columns]
     if missing:

@@ -36,7 +36,7 @@ def columns(most: int) -> int:
 def table(rows: Iterable[Sequence[str]], heads: Sequence[str] | None = None, **looks: Any) -> Table:
     """Return a table of rows with two or more cells; long words are continued in the next line, not cut.
 
-    heads: of the columns, None for no heads; looks: options of rich's Table
+    heads: heads of the columns, None for no heads; looks: options of rich's Table
     """
     grid = Table(*(Column(name, overflow="fold") for name in heads or ("", "")), show_header=heads is not None, **looks)
     for row in rows:

@@ -30,7 +30,7 @@ class Estimate:
     """A number with its range.
 
     low, high: ends of the range, in the unit of the number, low <= value <= high
-    kind: origin of the number; source: in words
+    kind: origin of the number; source: source in words
     """
 
     value: float

@@ -226,7 +226,7 @@ def two_hands(run: Run, axes: list[Axes]) -> str:
     axes[0].set(ylabel="ARP [Pa]", title="ARP at the right palm, mean over a period of 5 ms")
     _displacement(axes[1], run)
     return (
-        f"The ARP at the middle of the palm is {free:.2f} Pa without a shadow, at least {least:.2g} Pa in the "
+        f"The ARP at the middle of the palm is {free:.2f} Pa without a shadow, as low as {least:.2g} Pa in the "
         f"shadow (with rays, no sound is diffracted), and {felt[inner][-1]:.2f} Pa after the hand has passed."
     )
 
@@ -286,7 +286,7 @@ def stroke(run: Run, axes: list[Axes]) -> str:
     return (
         "The wake is the part of the path behind the focus on which the skin still moves: its normal velocity is above "
         "10 % of the largest value behind the focus. The median length of the wake (smallest to largest) is "
-        f"{figures}. Shear waves in this material have {slow:.1f} m/s at 50 Hz and {fast:.1f} m/s at 500 Hz."
+        f"{figures}. Shear waves in this material travel at {slow:.1f} m/s at 50 Hz and {fast:.1f} m/s at 500 Hz."
     )
 
 

@@ -156,8 +156,10 @@ def measure(name: str) -> None:
             if int(cells(row)[0]) in SHOWN
         ),
         "",
-        "`lbfgs` searches directly for the drive with the loudest quietest focus. In the means, `gsw` reaches at least",
-        f"{100 * closest:.1f} % of this level in {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the time.",
+        "`lbfgs` searches directly for the drive with the loudest quietest focus. On average `gsw` reaches at least",
+        f"{100 * closest:.1f} % of this level, and takes {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the "
+        f"time",
+        "of `lbfgs`.",
         "So `gsw` is the default. `tikhonov` uses amplitudes below full drive. Its foci are less loud, but it needs",
         "less power and has weaker side lobes.",
         "",

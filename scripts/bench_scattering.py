@@ -289,8 +289,8 @@ Array uhev1 at full drive with p0 = {p0:g} Pa m in lossless air, focused on the 
 {costs}
 
 The next table compares the ARP of cheaper models with boundary elements, on faces that face the array within 60 mm of
-the focus. The models use the default ARP law. The models differ in the rule that decides whether a face is lit: by each
-transducer that it sees; if a ray back along the energy flux is free; or always (no shadow). L2 is the relative
+the focus. The models use the default ARP law. The models differ in the rule for lit faces. A face is lit by each
+transducer that it sees, or if a ray back along the energy flux is free, or always (no shadow). L2 is the relative
 difference by face. "L2 of the mean" is the same for means over half a wavelength. "Up" is the force on the body ({link}
 has more forces).
 

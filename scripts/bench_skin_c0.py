@@ -145,9 +145,9 @@ def main() -> None:
         f"CPU: {processor()}, {os.cpu_count()} cores, threads: OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS')}, "
         f"OPENBLAS_NUM_THREADS={os.environ.get('OPENBLAS_NUM_THREADS')}. Commit: {commit}.",
         "",
-        "The disc of Ecoflex 00-10 (nu 0.495) has 120 x 20 mm and is bonded, with roller sides, under a Gaussian "
-        "spot of",
-        "10.3 mm. Errors at the centre are compared with the exact series. Time steps are 0.2 ms by generalised-alpha.",
+        "The disc of Ecoflex 00-10 (nu 0.495) is 120 x 20 mm, bonded, with roller sides, under a Gaussian spot of",
+        "10.3 mm. Errors are at the centre, compared with the exact series. Time steps are 0.2 ms by "
+        "generalised-alpha.",
         "",
         "| edge at spot / rim | unknowns | static error | error at 200 Hz | assembly [s] | factor [s] | step [s] "
         "| harmonic solution [s] |",
@@ -159,7 +159,7 @@ def main() -> None:
         f"and {keep_rows(target, [SIDES, '', *side_rows()], 'skin_c0_sides')} the push under other boundary "
         "conditions.",
         "",
-        "Error of the steady state at 200 Hz by the time step (8 / 20 mm, 2 layers):",
+        "Error of the steady state at 200 Hz for several time steps (8 / 20 mm, 2 layers):",
         "",
         "| step [ms] | steps per period | error |",
         "|---|---|---|",

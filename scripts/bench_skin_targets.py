@@ -195,7 +195,8 @@ def main() -> None:
         "## Disc by general elements (`spectral_elements`, target 2 %)",
         "",
         f"Medians of {arguments.general_runs} runs, for all sides. The error is relative to `axisymmetric`. If the "
-        "estimate is above the target, `solve` continues with finer elements. Then it takes the time of the ramp.",
+        "estimate is above the target, `solve` continues with finer elements. Then the other loads take as long as "
+        "the ramp.",
         "",
         *SHORT,
         *general,

@@ -112,7 +112,7 @@ def digest() -> str:
 def ceilings(rate: float) -> str:
     """What the GPU could do at most, in words; rate: of `issue_rate`."""
     sines = (
-        f"{SINES} instructions of a pair are roots, sines and cosines, whose ceiling is "
+        f"{SINES} of these instructions are roots, sines and cosines. They alone limit the speed to "
         f"{rate / 8 / SINES / 1e12:.2f} T "
     )
     if not counted():

@@ -214,8 +214,9 @@ def in_phase(name: str) -> float:
 def bow_notes(spots: dict[str, Spot]) -> list[str]:
     names = [name for name in spots if name.startswith("two_bow")]
     lines = [
-        "The two bows are from Mizushima & Sato 2024. The paper prints speakers at 40, 28 and 10 deg from the line to "
-        "the focus, and half-widths of 3 mm in y, 8 (or 10) mm in x and 10 (or 8) mm in z. The last column is |p| at "
+        "The two bows are from Mizushima & Sato 2024. In the paper the speakers are 40, 28 and 10 deg from the line "
+        "to the "
+        "focus. Its half-widths are 3 mm in y, 8 (or 10) mm in x and 10 (or 8) mm in z. The last column is |p| at "
         "the focus if all speakers have the same phase, divided by |p| if they are focused.",
         "",
         "| layout | angles [deg] | half-width y, x, z [mm] | same phase / focused |",
@@ -236,9 +237,10 @@ def page(spots: dict[str, Spot]) -> str:
         "# Arrays",
         "",
         f"For everyone who chooses an array. Made by `python scripts/draw_arrays.py`, commit {commit}; do not edit. "
-        "The table has the focus of each array at full drive, in linear air of 20 C and 50 % humidity. The peak is "
+        "The table has the focus of each array at full drive, for linear sound in air of 20 C and 50 % humidity. The "
+        "peak is "
         "|p| at the focus, divided by p0. Width and depth are those of the region where |p| is above half of the "
-        "peak (-6 dB). The size is the distance of the outermost centres plus 10 mm. [Glossary](glossary.md).",
+        "peak (-6 dB). The size is the distance between the outermost centres plus 10 mm. [Glossary](glossary.md).",
         "",
         "| layout | transducers | size [mm] | focus z [mm] | peak/p0 [1/m] | width x [mm] | width y [mm] | depth "
         "[mm] | loudest on axis at z [mm] |",

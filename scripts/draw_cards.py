@@ -57,7 +57,8 @@ def main() -> None:
             "",
             "## The presets",
             "",
-            "The meshes have edges of 3 mm. Each was written as PLY in millimetres and read again, with inferred unit.",
+            "The meshes have edges of 3 mm. Each was written as PLY in millimetres and read again without a unit, "
+            "which was inferred.",
             "Columns `1 mm` to `5 mm` have four values of a layer of this thickness: the 10th percentile of the "
             "thickness",
             "[%], the area where it is thinner [%], the volume relative to its integral [%], and the smallest scaled",
@@ -177,7 +178,7 @@ def foreign_table(folder: Path) -> list[str]:
         foreign.make(path)
         card, unit = card_of(path), ""
         if isinstance(card, SceneError):
-            unit, card = "none guessed, ", report_card(path, "mm")
+            unit, card = "not inferred, ", report_card(path, "mm")
         elif path.stem in FOREIGN_SEEN:
             draw_card(card, IMAGES / f"card_{path.stem}.png")
         facts = card.facts

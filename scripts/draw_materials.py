@@ -381,7 +381,9 @@ def page(traded: dict[int, tuple[list[float], list[float]]], fits: list[tuple[in
     sources = "\n".join(
         f"- {', '.join(f'**{name}**' for name in names)}: {text}." for text, names in described().items()
     )
-    misfits = "; ".join(f"{n} branches {100 * s:.2g} % storage, {100 * lo:.2g} % loss" for n, s, lo in fits)
+    misfits = "; ".join(
+        f"{n} {'branch' if n == 1 else 'branches'} {100 * s:.2g} % storage, {100 * lo:.2g} % loss" for n, s, lo in fits
+    )
     blocks = [
         "# Skin materials",
         f"For everyone who chooses a skin material. Made by `python scripts/draw_materials.py`, commit {commit}; do "

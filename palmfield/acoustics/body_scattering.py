@@ -38,7 +38,7 @@ def boundary_mesh(vertices: Float, faces: Int, wavelength_m: float) -> tuple[Flo
 class RigidScatteredField:
     """Total sound on a rigid body for one drive and pose, which can be evaluated anywhere on the body.
 
-    solution: by boundary elements; nearest: tree of its centroids
+    solution: solution by boundary elements; nearest: tree of its centroids
     """
 
     solution: Scattering
@@ -51,7 +51,7 @@ class RigidScatteredField:
     ) -> "RigidScatteredField":
         """Solve for the sound on a body. Raises the errors of `palmfield.acoustics.scattering.scatter`.
 
-        mesh: from `boundary_mesh`; incident: sound without the body; wavenumber: [rad/m]
+        mesh: as returned by `boundary_mesh`; incident: sound without the body; wavenumber: [rad/m]
         """
         solution = scatter(*mesh, incident, wavenumber, device=device)
         return RigidScatteredField(solution, cKDTree(solution.centroids), air)

@@ -37,7 +37,7 @@ class Elements(_Part):
     polarity: -1 for reversed wiring. phase_rad: additional delay [rad].
     gain: amplitude relative to p0. phase_sd_rad, gain_sd: standard errors.
     position_m: position in the array frame [m], if measured. address: number in the byte order of the board.
-    resonance_Hz, quality: of the resonance, if measured one by one.
+    resonance_Hz, quality: frequency and quality of the resonance, if measured for each transducer.
     """
 
     enabled: tuple[bool, ...]
@@ -80,7 +80,8 @@ class Pose(_Part):
 class Level(_Part):
     """Pressure as a function of the drive level a: p = p0 a^exponent up to linear_to, and less above it.
 
-    exponent: with its standard error; linear_to: level above which more than 5 % is missing, 1 if there is none.
+    exponent, exponent_sd: exponent and its standard error; linear_to: level above which more than 5 % is missing, 1 if
+    there is none.
     """
 
     exponent: Positive

@@ -61,7 +61,7 @@ def drive(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
 
 
 def amplitudes(values: ArrayLike, count: int, name: str) -> NDArray[np.complex128]:
-    """Return complex amplitudes, shape (count,). Raises as `drive`; name: of the array, for messages."""
+    """Return complex amplitudes, shape (count,). Raises as `drive`; name: name of the array, for messages."""
     drive = numbers(values, "drive").astype(np.complex128)
     if drive.shape != (count,):
         raise PalmfieldError(f"drive has shape {drive.shape} but {name} has {count} transducers: give shape ({count},)")

@@ -74,7 +74,7 @@ class FieldSum(ABC):
 
     Buffers are stored for the next call with the same number of points, so that only the result is allocated.
 
-    device: from `resolve`; count: number of drives; name: for errors
+    device: as returned by `resolve`; count: number of drives; name: name for errors
     """
 
     device: str
@@ -260,8 +260,8 @@ class FieldEvaluator(FieldSum):
     def inputs(self, elements: Any, strengths: Any, gradient: bool, ranges: Any) -> list[Any]:
         """Return the arguments of a kernel between points and results, on the device.
 
-        elements, strengths: see `elements`; ranges: from `ranges_of`, or without gradient the first transducer of each
-        group and one past the last, wp.vec2i, shape (parts, g)
+        elements, strengths: see `elements`; ranges: as returned by `ranges_of`, or without gradient the first
+        transducer of each group and one past the last, wp.vec2i, shape (parts, g)
         """
         if gradient:
             turns, sound, shapes = self._turns_radians, self._radians, [self._shapes]

@@ -46,8 +46,8 @@ WIDEST = 2.8
 class OutlineMesh:
     """Edges of the obstacles with the faces on both sides, for any number of sets of points.
 
-    tree: hierarchy of the bodies, which moves with them; vertices: in a reference pose [m], shape (v, 3); faces: shape
-    (f, 3)
+    tree: hierarchy of the bodies, which moves with them; vertices: vertices in a reference pose [m], shape (v, 3);
+    faces: shape (f, 3)
     """
 
     def __init__(self, tree: wp.Mesh, vertices: Float, faces: Int):
@@ -87,7 +87,8 @@ class OutlineMesh:
 class Emitters:
     """Transducers of the arrays of a scene as input of the kernels for the weights.
 
-    arrays: in their present pose. rows: row of each transducer in the weights, shape (N,). device: of `device.resolve`
+    arrays: arrays in their present pose. rows: row of each transducer in the weights, shape (N,). device: as returned
+    by `device.resolve`
     """
 
     def __init__(self, arrays: PhasedArray, rows: Int, device: str):
@@ -157,7 +158,9 @@ class KnifeEdges:
     def __init__(
         self, mesh: OutlineMesh, emitters: Emitters, nodes: ShadowNodes, points: int, threads: int | None = None
     ):
-        """points: number of points; threads: on the CPU, 1 or more, None is all cores of this process"""
+        """points: number of points; threads: number of threads on the CPU, 1 or more, None is all cores of this
+        process
+        """
         device = self.device = emitters.device
         self._mesh, self._emitters, self.nodes = mesh, emitters, nodes
         self._threads = 1 if device != "cpu" else cores() if threads is None else threads
@@ -231,7 +234,7 @@ class KnifeEdges:
 
         Stages: find bodies near the paths; find their blocking edges; weights at nodes; weights at points.
 
-        points, normals: on the device, vec3; numbers: numbers of the nodes among the points, shape (m,)
+        points, normals: vec3 arrays on the device; numbers: numbers of the nodes among the points, shape (m,)
         """
         device, gpu, mesh, emitters = self.device, self.device != "cpu", self._mesh, self._emitters
         make, width = _launcher(device), kernels.WIDTH["gpu" if gpu else "cpu"]

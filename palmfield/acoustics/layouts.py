@@ -306,7 +306,7 @@ LAYOUTS = {
     ),
     "autd2018": Layout(
         "One unit of Hasegawa & Shinoda 2018: 249 elements, aperture printed as 180 x 140 mm",
-        f"Hasegawa & Shinoda 2018 print count and aperture; the other data are those of the {AUTD_UNIT}",
+        f"Hasegawa & Shinoda 2018 state number and aperture; the other data are those of the {AUTD_UNIT}",
         (0.0, 0.0, 0.2),
         autd2018,
         AUTD_P0,

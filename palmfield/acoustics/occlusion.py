@@ -54,7 +54,7 @@ class Occlusion:
     vertices: [m], shape (v, 3). faces: shape (m, 3): all obstacles in one mesh.
     device: "auto", "cpu" or "cuda:N".
     counts: number of vertices of each body in the mesh, in order, if there are several.
-    threads: on the CPU, 1 or more; None is all cores of this process.
+    threads: number of threads on the CPU, 1 or more; None is all cores of this process.
     """
 
     def __init__(

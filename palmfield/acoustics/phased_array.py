@@ -44,7 +44,7 @@ class ArrayInstance:
     """One array of the scene.
 
     config: keys of the array. placement: placement in the reference pose of the scene.
-    calibration: from the file of key `calibration`. table: from the file of key `transducers`.
+    calibration: calibration from the file of key `calibration`. table: table from the file of key `transducers`.
     """
 
     config: ArrayConfig

@@ -38,11 +38,11 @@ ROWS = 5
 class Transducers:
     """The transducers of the arrays of a scene on a device, sorted by directivity.
 
-    arrays: in their present pose. device: from `palmfield.device.resolve`.
+    arrays: arrays in their present pose. device: as returned by `palmfield.device.resolve`.
     order: transducer numbers in the order of the kernels. scale: strength at full drive in that order [Pa m].
-    On the device: places: positions [m] and directions, shapes (count,), four numbers each; corners: of the box of the
-    transducers of each side [m], shape (8 sides,); boards: mean direction of each array and height of its centre along
-    it [m], shape (parts,).
+    On the device: places: positions [m] and directions, shapes (count,), four numbers each; corners: corners of the
+    box of the transducers of each side [m], shape (8 sides,); boards: mean direction of each array and height of its
+    centre along it [m], shape (parts,).
     """
 
     def __init__(self, arrays: PhasedArray, device: str):
@@ -135,7 +135,7 @@ def fill_table(
 ) -> None:
     """Write drives and sums of one world into the NumPy views of its table: counts, drives and levels.
 
-    strengths: from `Transducers.strengths`, shape (k, n); levels: shape (m, k), None for single drives
+    strengths: as returned by `Transducers.strengths`, shape (k, n); levels: shape (m, k), None for single drives
     """
     counts, drives, weights = hosts
     k = len(strengths)

@@ -37,7 +37,7 @@ def visibility(
 
     A source is visible if it is in front of the surface at the point and no obstacle is between.
 
-    points: on or near the surface [m], shape (n, 3); normals: unit outward normals there, shape (n, 3).
+    points: points on or near the surface [m], shape (n, 3); normals: unit outward normals there, shape (n, 3).
     surface_mesh: obstacles, from `shadow_mesh`, in the same frame.
     source_positions: [m], shape (s, 3); weights: 0 or more, for example |drive|^2, shape (s,); equal by default
     Raises PalmfieldError for other shapes, numbers that are not finite, and weights that are negative or sum to 0.

@@ -54,7 +54,7 @@ class SurfaceArp:
     It is part of the state of one simulation and not thread-safe; on the CPU it starts threads itself.
 
     field: field of the arrays. count: number of points. law: law of `palmfield.acoustics.arp` or its key.
-    threads: on the CPU, 1 or more; None is all cores of this process.
+    threads: number of threads on the CPU, 1 or more; None is all cores of this process.
     """
 
     def __init__(self, field: MultiArrayField, count: int, law: str | ArpLaw = "default", threads: int | None = None):

@@ -45,7 +45,7 @@ def pushes(areas: Float, normals: Float, points: Float) -> Float:
 def resultants(arp: Float | Float32, of_unit: Float, origins: Float, parts: Parts) -> tuple[Float, Float]:
     """Return forces [N] on the parts of a body and torques about their origins [N m], shapes (b, 3).
 
-    arp: ARP on the faces [Pa], positive inwards, shape (n,); of_unit: from `pushes`, shape (6, n).
+    arp: ARP on the faces [Pa], positive inwards, shape (n,); of_unit: as returned by `pushes`, shape (6, n).
     origins: origins of the parts [m], in the frame of the faces, shape (b, 3)
     Faces are summed in a fixed order, so that equal input gives equal bits.
     """

@@ -23,7 +23,7 @@ class TransducerTable:
     """Data of the transducers of an array in a file, in the array frame, one entry per transducer; comparable by value.
 
     positions: [m]; normals: emitting directions of any length; gains: amplitude relative to p0, and phase as in
-    `palmfield.types.Array`; addresses: in the byte order of the board, None if not in the file.
+    `palmfield.types.Array`; addresses: addresses in the byte order of the board, None if not in the file.
     """
 
     positions: tuple[tuple[float, ...], ...]

@@ -30,7 +30,7 @@ class UnitDrive:
     """Commanded drive of the transducers for a focus at the loudest moment.
 
     amplitudes: complex, relative to full drive, shape (N,); level: target amplitude of each transducer, 0..1
-    conjugate: of the amplitudes; power: sum of |amplitude|^2; peak: largest |amplitude|
+    conjugate: conjugate of the amplitudes; power: sum of |amplitude|^2; peak: largest |amplitude|
     serial: its unique number
     """
 
@@ -46,8 +46,8 @@ class ArrayDrive:
     """Drives the transducers of one stimulus, with the arrays in one relative pose.
 
     array: the arrays of the scene as one source; chosen: transducers that this stimulus drives, shape (k,), ascending
-        arp_peak_Pa: ARP at the focus at the loudest moment, if the stimulus sets it; drive_amplitude: of each
-        transducer, if the stimulus sets it (1 if it sets neither); board: board that plays the drive
+        arp_peak_Pa: ARP at the focus at the loudest moment, if the stimulus sets it; drive_amplitude: drive amplitude
+        of each transducer, if the stimulus sets it (1 if it sets neither); board: board that plays the drive
     about, about_focus: first words of error messages on the drive, and on its foci
     Amplitudes are over all N transducers, 0 for those that are not chosen.
     """
@@ -234,7 +234,7 @@ class ArrayDrive:
     def _rays(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:
         """Return the distance [m] from each transducer to a point, and the height of the point over its face [m].
 
-        x, y, z: of the points [m], numbers, or shapes that broadcast to (k, n) with the transducers
+        x, y, z: coordinates of the points [m], numbers, or shapes that broadcast to (k, n) with the transducers
         """
         dx, dy, dz = x - self.places[0], y - self.places[1], z - self.places[2]
         distances = dx * dx

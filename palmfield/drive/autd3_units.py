@@ -26,7 +26,7 @@ class Autd3Units:
     """AUTD3 units in one row of the network. Each whole frame becomes one pattern, without silencer or modulation.
 
     A frame is sent when all units have acknowledged the previous one, so no frame waits here.
-    name: as of `open_units`
+    name: as in `open_units`
     """
 
     def __init__(self, name: str, target: str) -> None:
@@ -134,7 +134,7 @@ class Autd3Units:
 def open_units(name: str, target: str) -> Autd3Units:
     """Open AUTD3 units on a link listed in WAYS; the search begins with the first bytes, which give their number.
 
-    name: for messages; target: text after autd3: in WAYS
+    name: name for messages; target: text after autd3: in WAYS
     emulator: units emulated by the AUTD3 software in this process
     Raises DeviceError for another link, and if the extra is not installed.
     """

@@ -41,7 +41,9 @@ def serial_line(baud: int) -> Line:
 
 
 class Emitted(NamedTuple):
-    """Emission of a board from a moment on. time_s: on the clock of its line [s]; amplitudes: complex, shape (n,)"""
+    """Emission of a board from a moment on. time_s: time on the clock of its line [s]; amplitudes: complex, shape
+    (n,)
+    """
 
     time_s: float
     amplitudes: Complex
@@ -60,7 +62,7 @@ def rate_in_words(rate_Hz: float) -> str:
 
 
 class Flag(NamedTuple):
-    """An error that a virtual board detected. kind: overrun, dc or garbled; text: in words"""
+    """An error that a virtual board detected. kind: overrun, dc or garbled; text: text in words"""
 
     time_s: float
     kind: str
@@ -133,20 +135,22 @@ class RewiredTwin(Twin):
 class Board:
     """A board: its limits, its bytes and their virtual twin. One file of `palmfield.drive.boards` each.
 
-    description: in words; layouts: of the arrays that it drives, the one that `--board` gives first; empty for any
+    description: description in words; layouts: layouts of the arrays that it drives, the one that `--board` gives
+    first; empty for any
     unit, most_units: transducers of one unit, and largest number of units on one line; units: number of units in use
     arrays: how many arrays of a scene it drives at once, (least, most)
     line: how bytes reach it, None for a board without bytes; max_frame_rate_Hz: frames a second, inf for any
-    phase_steps: in a turn, None for any phase; amplitude, amplitude_steps: kind of amplitudes of each transducer, and
+    phase_steps: phase steps in a turn, None for any phase; amplitude, amplitude_steps: kind of amplitudes of each
+    transducer, and
         number of levels above 0
     takes: whether a frame contains the amplitude of each transducer, or place and level of one focus
     start, stop: byte sequences before the first frame and after the last; both silence it
-    when_host_dies, cannot_guarantee: in a sentence each
+    when_host_dies, cannot_guarantee: one sentence each
     modulates: whether the board generates an envelope, which the scene must request
-    keys: of palmfield.driver that it takes besides `board`
+    keys: keys of palmfield.driver that it takes besides `board`
     dither: whether amplitudes are made by switching some transducers on and others off
     compensate: whether the sent drive compensates dead and inverted transducers and known phases
-    places: of each transducer in the byte order of the board; empty if it is the order of the layout
+    places: places of each transducer in the byte order of the board; empty if it is the order of the layout
     """
 
     name: str
@@ -256,7 +260,7 @@ class Board:
     def encode_focus(self, focus: ArrayLike, level: float) -> bytes:
         """Return the bytes of one frame of a board that takes a focus.
 
-        focus: in the array frame [m], shape (3,); level: amplitude of all transducers, 0..1
+        focus: focus in the array frame [m], shape (3,); level: amplitude of all transducers, 0..1
         Raises DeviceError for a focus or level that the board cannot play.
         """
         raise DeviceError(f"board '{self.name}' takes {self._input()}, not a focus; allowed: amplitudes")

@@ -15,7 +15,7 @@ CLOSE_M = 1e-5
 def loudest_point(pressure: Callable[[Float], Complex], middle: Float, focus: Float) -> Float:
     """Return the maximum of |p| near a focus [m], shape (3,).
 
-    pressure: complex pressure at points [m], shape (n, 3) -> (n,); middle: of the transducers that sound [m]
+    pressure: complex pressure at points [m], shape (n, 3) -> (n,); middle: middle of the transducers that sound [m]
     """
     line = middle + ALONG[:, None] * (focus - middle)
     start = line[int(np.abs(pressure(line)).argmax())]

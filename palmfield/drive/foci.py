@@ -134,7 +134,7 @@ def solve_foci(
     amplitudes: target |p| of each relative to the others, shape (m,), positive; None is equal
     method: see `solve_transfer`
     iterations: their largest number; None is ITERATIONS[method]
-    seed: of the random phases of "naive"
+    seed: seed of the random phases of "naive"
     Raises PalmfieldError for points that are not finite or not (m, 3), SceneError for foci behind a transducer,
     coincident foci, more foci than live transducers, bad amplitudes, method or iterations.
     """

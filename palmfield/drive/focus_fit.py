@@ -23,8 +23,8 @@ def fitted_focus(
 ) -> tuple[Float, float]:
     """Return the focus [m], shape (3,), whose phases -k d fit best by least squares, and the rms residual [rad].
 
-    positions: of the transducers [m], shape (n, 3), with the sound on the side of positive z; amplitudes: shape (n,),
-    e^{-iwt}; those that are off do not count; near: start point, None to search everywhere within 0.6 m
+    positions: positions of the transducers [m], shape (n, 3), with the sound on the side of positive z; amplitudes:
+    shape (n,), e^{-iwt}; those that are off do not count; near: start point, None to search everywhere within 0.6 m
     anywhere: whether to search everywhere too if none fits nearby, which takes some 20 ms
     NaN if fewer than four transducers sound.
     """

@@ -34,12 +34,12 @@ VERSION = 1
 class LogHead:
     """Description of the board of a log.
 
-    keys: of palmfield.driver besides `board`; array: name of the layout, csv for places from a file; limits:
-    SAFETY_KEYS of palmfield.driver that are set; p0_Pa_m, p0_high_Pa_m: of the transducers of the array, and the upper
-    end of its range, None for the layout's
+    keys: keys of palmfield.driver besides `board`; array: name of the layout, csv for places from a file; limits:
+    SAFETY_KEYS of palmfield.driver that are set; p0_Pa_m, p0_high_Pa_m: p0 of the transducers of the array, and the
+    upper end of its range, None for the layout's
     Of the first array, None for the layout's: turns_rad, phases that transducers add to their command (polarity,
     delays) [rad], shape (n,); positions_m, in the array frame, shape (n, 3)
-    address: of all transducers, their places in the byte order of the board; None for the order of the layout
+    address: address of all transducers, their places in the byte order of the board; None for the order of the layout
     """
 
     board: str
@@ -55,7 +55,7 @@ class LogHead:
     address: Sequence[int] | None = None
 
     def measured(self, array: Array, places: Sequence[int] = ()) -> "LogHead":
-        """Return the head with calibration data of the transducers of the first array; places: as of `Board`."""
+        """Return the head with calibration data of the transducers of the first array; places: as in `Board`."""
         plain, own = self._layout, list(places) or list(range(self.transducers))
         turns = None if array.gain is None else np.angle(array.gain).round(6).tolist()
         same = plain is not None and np.array_equal(array.positions, plain.positions)

@@ -16,14 +16,14 @@ UNIT = 0.01
 
 
 class LiveFocus(NamedTuple):
-    """A focus. place: array frame [m], shape (3,); level: of its sound, 0..1"""
+    """A focus. place: array frame [m], shape (3,); level: level of its sound, 0..1"""
 
     place: Float
     level: float
 
 
 class ReceivedFocus(NamedTuple):
-    """A received focus. number: from 1 on; time_s: of arrival, on time.monotonic() [s]"""
+    """A received focus. number: number from 1 on; time_s: time of arrival, on time.monotonic() [s]"""
 
     number: int
     focus: LiveFocus
@@ -74,7 +74,7 @@ class FocusListener(LineListener):
     """Reads foci from a socket and keeps the newest. A context manager."""
 
     def __init__(self, offset: Float, host: str = "127.0.0.1", port: int = 0, by: By = "udp") -> None:
-        """offset: as of `read_focus`; port: 0 for any free one. Raises DeviceError for a foreign address"""
+        """offset: as in `read_focus`; port: 0 for any free one. Raises DeviceError for a foreign address"""
         self._offset = offset
         self._newest: ReceivedFocus | None = None
         super().__init__(host, port, by)

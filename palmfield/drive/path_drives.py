@@ -25,7 +25,7 @@ from warp_kernels import path_drives as kernels
 class PathMemory(NamedTuple):
     """Input and output arrays of the kernels for a step of w worlds on a device.
 
-    counts: foci and groups, int32, shape (w, 2); group: of each transducer, int32, shape (w, n)
+    counts: foci and groups, int32, shape (w, 2); group: group of each transducer, int32, shape (w, n)
     foci: [m], vec3d, shape (w, f); targets: target levels, float64, shape (w, f + 1)
     aims: targets at the focus, vec2d, shape (w,), see `PathDrives.aim`
     ring: weights of the pole for each moment, vec2d, shape (m, 5); pushes: its row of `force`, -1 for none, int32,
@@ -71,7 +71,7 @@ class PathMemory(NamedTuple):
 class PathDrives:
     """The transducers of one stimulus that drives all of them, on a device.
 
-    drive: with the present places of the arrays; transducers: the same ones as in the sound field
+    drive: drive with the present places of the arrays; transducers: the same ones as in the sound field
     pole: response of all transducers, None without ring-up; rings: whether there is ring-up
     aim: result of `aim_of`
     """
@@ -136,7 +136,9 @@ class PathDrives:
         ]
 
     def pushed(self, weights: Float) -> Float:
-        """Return the weights of the rows of `PathMemory.force` in the mean ARP; weights: of the moments, shape (m,)."""
+        """Return the weights of the rows of `PathMemory.force` in the mean ARP; weights: weights of the moments, shape
+        (m,).
+        """
         return weights[weights > 0.0] if self.rings else np.ones(1)
 
     def ring(self, moments: Moments) -> Complex:
@@ -161,8 +163,9 @@ class PathDrives:
 def foci_made(totals: Float, levels: Float, quiet: Any, target: Any) -> NDArray[np.bool_]:
     """Return for each world whether the transducers can produce all active foci, shape (w,).
 
-    totals: of PathMemory, as numbers, shape (w, f, 3), the focus at the beginning of the step last; levels: of the
-    pressure at the others, (w, f - 1); quiet: whether the last one is silent, (w,); target: the first of `aim_of`, (w,)
+    totals: totals of PathMemory, as numbers, shape (w, f, 3), the focus at the beginning of the step last; levels:
+    levels of the pressure at the others, (w, f - 1); quiet: whether the last one is silent, (w,); target: the first of
+    `aim_of`, (w,)
     """
     real, imaginary, facing = totals.transpose(2, 0, 1)
     good = (facing > 0.0) & (real * real + imaginary * imaginary >= np.asarray(target)[:, None])

@@ -46,7 +46,7 @@ class ResponseError:
 def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float]]:
     """Return the time intervals [s] that contain all phases of a stimulus: start and ramp, one period, stop.
 
-    delay_s: of the transducers; ringing needs a window of several of these
+    delay_s: delay of the transducers; ringing needs a window of several of these
     """
     least = max(LEAST_WINDOW_S, SETTLED * delay_s)
     start, steady = stimulus.start_s, stimulus.start_s + stimulus.ramp_s
@@ -73,7 +73,7 @@ def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float
 def shares(emitted: Complex, gain: Complex | None, distances: Float) -> Float:
     """Return the share of each transducer in the pressure at a focus, shape (n,).
 
-    emitted: its amplitude, shape (n,); gain: see Array, of the same transducers; distances: to the focus [m]
+    emitted: its amplitude, shape (n,); gain: see Array, of the same transducers; distances: distances to the focus [m]
     """
     parts = np.abs(emitted if gain is None else emitted * gain) / distances
     total = parts.sum()
@@ -93,11 +93,12 @@ def response_errors(
     The first: the emission of a pole against the drive itself, delayed by the mean delay of all. The second: the
     emission of the poles, each delayed by its flight time against the mean, or all equally.
 
-    along: from points of the stimulus, shape (k, 3), to foci in the frame of the first array [m]; several foci count as
+    along: function from points of the stimulus, shape (k, 3), to foci in the frame of the first array [m]; several
+    foci count as
         one in their middle
-    focusing: from foci, shape (k, 3), and the numbers of some transducers to their drives, shape (k, n)
+    focusing: function from foci, shape (k, 3), and the numbers of some transducers to their drives, shape (k, n)
     weights: shares of the transducers in the pressure at the first focus, see `shares`, shape (n,)
-    rates: of their poles [1/s], shape (n,); times_s: flight times of their sound to there [s], shape (n,)
+    rates: rates of their poles [1/s], shape (n,); times_s: flight times of their sound to there [s], shape (n,)
     """
     delay = float((1.0 / rates).real.mean())
     step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
@@ -133,9 +134,9 @@ def changes_of_motion(
     The skin is a weakly damped oscillator. A steady load that starts late or gradually gives the same displacement as
     an instant one, except for changes as fast as the oscillator.
 
-    rate: of the pole of the transducers [1/s]; spread_s: between the first and the last sound to arrive, even in
-    between
-    frequency_Hz: of the oscillator, at which most of the response of the skin lies
+    rate: rate of the pole of the transducers [1/s]; spread_s: time between the first and the last sound to arrive,
+    even in between
+    frequency_Hz: frequency of the oscillator, at which most of the response of the skin lies
     """
     delay = (1.0 / rate).real
     step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
@@ -163,7 +164,7 @@ def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -
     """Return the errors of the pressure at a stationary focus over time, shapes (k,), relative to full level.
 
     There the transducers differ only by their poles, and their sounds add up.
-    levels: of the drive, shape (k,); weights, z (rate times step), delays (in steps), shapes (n,)
+    levels: levels of the drive, shape (k,); weights, z (rate times step), delays (in steps), shapes (n,)
     """
     ring_up, flight_time = np.zeros(len(levels)), np.zeros(len(levels), complex)
     reach = math.ceil(np.abs(delays).max()) + 2

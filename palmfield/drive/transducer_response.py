@@ -71,8 +71,8 @@ class TransducerResponse:
     """Whether ring-up and flight time are modelled, and the errors of ignoring them.
 
     ring_up, flight_time: errors of the pressure without ring-up, and with equal flight times of all transducers
-    spread_s: between the first and the last sound to arrive; pole: of all N transducers
-    delays_s: of each transducer against the middle [s] in the reference pose, shape (N,), zeros if ignored
+    spread_s: time between the first and the last sound to arrive; pole: pole of all N transducers
+    delays_s: delay of each transducer against the middle [s] in the reference pose, shape (N,), zeros if ignored
     """
 
     on: bool
@@ -104,8 +104,9 @@ def transducer_response(
 ) -> TransducerResponse:
     """Decide which effects to model. ARP is quadratic in the pressure, so `auto` allows a quarter of the accuracy.
 
-    focal_points: of the stimulus in the reference pose; accuracy: target relative error of the skin displacement;
-    instances: of the arrays, as `drive.array.parts`; spread: whether flight times may differ
+    focal_points: focal points of the stimulus in the reference pose; accuracy: target relative error of the skin
+    displacement;
+    instances: instances of the arrays, as `drive.array.parts`; spread: whether flight times may differ
     """
     counts = [len(part) for part in drive.array.parts]
     poles = [one.pole(count) for one, count in zip(instances, counts, strict=True)]
@@ -153,7 +154,7 @@ def commanded_drive(
     """Return the drive of each transducer whose sound arrives at some times [s], shape (k,) (less the common delay),
     (k, N).
 
-    delays_s: of each transducer, in whole DELAY_STEP_S [s], shape (N,); None for none
+    delays_s: delay of each transducer, in whole DELAY_STEP_S [s], shape (N,); None for none
     Errors as `ArrayDrive.unit_drive`, only for active points.
     """
     lags, group = _delay_groups(delays_s)
@@ -215,8 +216,8 @@ def ring(
 ) -> tuple[Complex, complex | Complex]:
     """Step transducers through all moments; return their emission at each moment and at the end of the last step.
 
-    emitted: at the beginning, shape (N,); commanded: drive at the moments, shape (m, N). It is linear from moment to
-    moment; in a held part the moment is in the middle
+    emitted: emitted drive at the beginning, shape (N,); commanded: drive at the moments, shape (m, N). It is linear
+    from moment to moment; in a held part the moment is in the middle
     If all are alike and emit multiples of one drive, a number and shape (m,) are enough.
     """
     at_moments = np.empty(commanded.shape, np.complex128)
@@ -278,7 +279,7 @@ class EmittedCourse(NamedTuple):
 
 
 def silence(moments: int, end: Complex) -> EmittedCourse:
-    """Return silence at some moments; end: as of EmittedCourse."""
+    """Return silence at some moments; end: as in EmittedCourse."""
     return EmittedCourse(np.zeros((0, len(end)), np.complex128), np.zeros((moments, 0), np.complex128), end, 0)
 
 
@@ -357,7 +358,7 @@ def _of_one_unit(
     emitted: Complex,
     moments: Moments,
 ) -> EmittedCourse:
-    """Return `emitted_over` for one focus with varying level; levels: of the drive, shape (m, d)."""
+    """Return `emitted_over` for one focus with varying level; levels: levels of the drive, shape (m, d)."""
     if not response.on:
         return of_unit(unit, levels[:, 0], emitted)
     if group is None and response.stepper.alike:

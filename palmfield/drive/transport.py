@@ -41,7 +41,7 @@ class PortLost(DeviceError):
 
 
 class Transport(Protocol):
-    """A target of bytes. name: of the port or file, for messages"""
+    """A target of bytes. name: name of the port or file, for messages"""
 
     name: str
 

@@ -28,7 +28,9 @@ BURST_S = 20e-3
 
 @dataclass
 class Faults:
-    """Faults of the line, each a share of bytes. drop: lost; flip: with one wrong bit; seed: of the draws"""
+    """Faults of the line, each a share of bytes. drop: lost bytes; flip: bytes with one wrong bit; seed: seed of the
+    draws
+    """
 
     drop: float = 0.0
     flip: float = 0.0
@@ -56,7 +58,7 @@ THREAD_PRIORITY = 70
 class VirtualBoard:
     """The virtual twin of a board behind a port. Use as a context manager, or `unplug` it at the end.
 
-    port: to open, a device or a pyserial URL; received: all bytes so far, as they arrived
+    port: port to open, a device or a pyserial URL; received: all bytes so far, as they arrived
     emitted: emission over time, on `clock`; flags: errors that the board detected
     Unlike a real board it reports how many bytes it has taken, as real ports report waiting bytes.
     """

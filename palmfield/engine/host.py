@@ -92,7 +92,8 @@ _thunks: list[Any] = []
 
 
 class _Compiling(threading.local):
-    """The model that this thread compiles. active: whether modules are switched off; error: of a module's construction.
+    """The model that this thread compiles. active: whether modules are switched off; error: error of a module's
+    construction.
 
     sized: model and instance whose sizes MuJoCo requested last; sizing: model and first error of such a request
     """

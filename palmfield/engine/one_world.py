@@ -20,7 +20,7 @@ class OneWorld:
     """
 
     def __init__(self, data: mujoco.MjData, name: str):
-        """name: of the scene. Raises SceneError for a scene without skins."""
+        """name: name of the scene. Raises SceneError for a scene without skins."""
         world = world_of(data)
         if world is None or world.scene is None:
             raise SceneError(f"{name} has no plugin 'palmfield.skin', so it is a plain MuJoCo model; add the plugin")

@@ -99,7 +99,8 @@ class SceneRuntime:
     ) -> None:
         """Become one of several worlds, with the state outside mjData; drops all stored results.
 
-        model: of the same bodies and arrays, with the stimuli of the world. state: the part of the world, as views.
+        model: model of the same bodies and arrays, with the stimuli of the world. state: the part of the world, as
+        views.
         frames: output arrays of the world frames, positions [m] and matrices, shapes (frames, 3) and (frames, 9).
         beside: the runtime of another world with sensors at the same places; None for the first.
         """

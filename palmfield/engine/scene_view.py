@@ -39,7 +39,7 @@ FOCUS: Float = np.array([0.0, 0.75, 0.65, 1.0])
 class SeenTransducers(NamedTuple):
     """Command of an array. places [m], axes: shape (n, 3), world; levels: rms amplitude over full drive, shape (n,)
 
-    phases: [rad], when each sounds next, positive: delay, shape (n,); radius_m: of a transducer
+    phases: [rad], when each sounds next, positive: delay, shape (n,); radius_m: radius of a transducer
     """
 
     places: Float
@@ -52,7 +52,7 @@ class SeenTransducers(NamedTuple):
 class SeenSkin(NamedTuple):
     """Mean ARP on a skin over an exposure. vertices [m], normals: shape (v, 3), world; faces: shape (f, 3)
 
-    arp: by vertex [Pa], shape (v,); top: the largest since the view began [Pa]
+    arp: ARP by vertex [Pa], shape (v,); top: the largest since the view began [Pa]
     """
 
     vertices: Float

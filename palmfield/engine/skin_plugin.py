@@ -26,7 +26,7 @@ class SkinModule(Module):
     As for all sensors of MuJoCo, the reading is that at the beginning of the step. After mj_step it is one timestep
     older than data.time, until mj_forward.
 
-    number: of this skin in the scene. leads: whether it steps the scene (the first skin).
+    number: number of this skin in the scene. leads: whether it steps the scene (the first skin).
     scene: `palmfield.engine.scene_runtime.SceneRuntime`, shared by all skins.
     """
 

@@ -32,8 +32,9 @@ from palmfield.types import Float
 class SceneWorlds:
     """Several worlds of one scene.
 
-    data: one mjData per world. models: of the same bodies, with the stimuli of each world. state: of all worlds.
-    poses: by number of a mocap body, its pose in each world and step, position [m] and quaternion (w, x, y, z),
+    data: one mjData per world. models: models of the same bodies, with the stimuli of each world. state: state of all
+    worlds.
+    poses: poses by number of a mocap body, its pose in each world and step, position [m] and quaternion (w, x, y, z),
         shape (worlds, steps, 7); after the last of these steps the body stays in its last pose.
     forces: mean force of the sound over the present step [N], world axes, shape (worlds, bodies, 3).
     """

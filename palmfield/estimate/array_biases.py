@@ -18,7 +18,9 @@ SETTLED = 0.01
 
 
 def array_biases(model: HapticModel, stimulus: int, drive: Complex) -> list[Bias]:
-    """Return the biases from the arrays of a stimulus. drive: of all transducers at the loudest moment, shape (N,)"""
+    """Return the biases from the arrays of a stimulus. drive: drive of all transducers at the loudest moment, shape
+    (N,)
+    """
     instances = array_instances(model.spec)
     calibrations = [instances[number].calibration for number in model.stimuli[stimulus].spec.arrays]
     level = float(np.abs(drive[model.stimuli[stimulus].transducers]).max(initial=0.0))

@@ -33,7 +33,8 @@ def p0_band_at(model: HapticModel, arrays: PhasedArray, drive: Complex, point: F
     stimulus with arp_peak_Pa keeps its pressure, because its drive is scaled to p0. All arrays are at the same fraction
     of their ranges. None if arp_peak_Pa sets the level of all active stimuli, and in silence.
 
-    arrays: in one pose. drive: of all transducers, shape (N,). point: in the frame of the first array [m], shape (3,).
+    arrays: arrays in one pose. drive: drive of all transducers, shape (N,). point: point in the frame of the first
+    array [m], shape (3,).
     """
     independent = np.zeros(len(drive), bool)
     for stimulus in model.stimuli:

@@ -63,7 +63,7 @@ def biases(
 ) -> list[Bias]:
     """Return the biases of the motion of a skin from effects that the model omits.
 
-    stimulus: number of the stimulus for which the layer is built. drive: of all transducers, shape (N,).
+    stimulus: number of the stimulus for which the layer is built. drive: drive of all transducers, shape (N,).
     focus: point of that stimulus, the nearest to the skin if it has several; array frame [m], shape (3,).
     highest: where the ARP on the skin is highest, and the outward normal there; array frame, shapes (3,).
     """

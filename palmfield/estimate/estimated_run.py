@@ -47,7 +47,8 @@ def run(
         error. overwrite: whether the folder may contain the results of another run.
     plots: kinds of pictures (`palmfield.outputs.pictures.kinds.KINDS`) to draw in OUT/plots instead of the usual ones;
         an empty list draws none. usd: whether to write scene.usdc.
-    estimate: of the error: "quick" compares the mesh with coarser ones where that is reliable and uses the reduced
+    estimate: estimate of the error: "quick" compares the mesh with coarser ones where that is reliable and uses the
+    reduced
         model of the run; "full" compares with a finer mesh and with a reduced model of its own, which takes several
         times as long; "none" leaves the results without error and without bands of inputs.
     Ctrl-C, a full disk or an error in a module end the run early. The results so far are then written and marked
@@ -90,7 +91,7 @@ def _budgets(kind: EstimateKind, sim: Simulation, recorder: Recorder, bar: Progr
 def _whole_summary(
     sim: Simulation, recorder: Recorder, budgets: dict[str, Any], tree: xr.DataTree, extra: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the numbers of a complete run. budgets: of its skins"""
+    """Return the numbers of a complete run. budgets: budgets of its skins"""
     skins = {}
     times: Float = np.asarray(tree["time"])
     for name, ds in instances(tree, "skin").items():

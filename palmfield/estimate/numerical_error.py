@@ -66,7 +66,7 @@ def error_estimate(
 ) -> dict[str, float]:
     """Estimate the relative error of the displacement of a skin at its point nearest to the focus, by source.
 
-    radiation: of the model; its boundary-element solution for that moment is reused.
+    radiation: radiation of the model; its boundary-element solution for that moment is reused.
     materials: whether the ranges of materials are evaluated too.
     thorough: whether the other mesh is finer in any case, and a reduced model of the run is compared with a new one.
 

@@ -23,8 +23,8 @@ class Sending:
     """Properties of the frames sent to a board.
 
     frame_bytes. frames_s: frames due per second, 0 if only constant frames are repeated. most_frames_s: limit of the
-    line. latency_s: from the first byte of a frame to its sound, shortest and longest [s]. pressure_kept: expected
-    fraction of the focal pressure after rounding of phases. amplitude_steps: above 0, None if continuous.
+    line. latency_s: latency from the first byte of a frame to its sound, shortest and longest [s]. pressure_kept:
+    expected fraction of the focal pressure after rounding of phases. amplitude_steps: above 0, None if continuous.
     """
 
     board: str

@@ -48,8 +48,8 @@ def felt_levels(
 ) -> dict[str, Any]:
     """Return the levels of one skin by all observers, units in the names: contact (`contact_levels`) and force.
 
-    loudest: loudest moment on the skin, None in silence; radiation: of the model; reference: scene in its reference
-    pose; times: from the start of the run, evenly spaced [s], shape (t,).
+    loudest: loudest moment on the skin, None in silence; radiation: radiation of the model; reference: scene in its
+    reference pose; times: times from the start of the run, evenly spaced [s], shape (t,).
     normal: displacement along the outward normal [m], shape (t, S); arp_peaks: highest ARP on the skin [Pa], shape
         (t,).
     begun_s: MuJoCo time at the start of the run [s], which is added to `times` for start and stop of stimuli.
@@ -106,7 +106,7 @@ def contact_levels(times: Float, normal: Float, frequencies: list[float], areas:
     """Return the level above threshold by contact observer, of all lines, of the strongest, and at the main frequency.
 
     times: [s], shape (t,), evenly spaced. normal: displacement [m], shape (t, S).
-    frequencies: evaluated lines, main one first [Hz]. areas: of the vertices [m^2], shape (S,).
+    frequencies: evaluated lines, main one first [Hz]. areas: areas of the vertices [m^2], shape (S,).
     Levels are those of the vertex that moves most. If the thresholds of an observer depend on area, also
     `level_area_NAME_dB_SL`, for all lines, with the area `level_area_NAME_m2` on which the weighted amplitude
     exceeds MOVED_SHARE of its largest.
@@ -157,7 +157,8 @@ def moved_area_m2(observer: Observer, frequencies: list[float], lines: Float, ar
     """Return the area on which motion weighted by thresholds exceeds MOVED_SHARE of its maximum [m^2].
 
     Only lines whose thresholds depend on area are used; 0 if there are none.
-    frequencies: of the lines [Hz], (n,). lines: peak amplitudes at the vertices [m], (n, S). areas: of the vertices
+    frequencies: frequencies of the lines [Hz], (n,). lines: peak amplitudes at the vertices [m], (n, S). areas: areas
+    of the vertices
         [m^2], (S,).
     """
     assert observer.summation is not None
@@ -207,7 +208,7 @@ def _refused(
 def region_at(hand: str, point: Float) -> str:
     """Return the region (`palmfield.hand.labels.REGIONS`) of a hand in which a point of its skin lies.
 
-    hand: name of a preset, or file; point: in the hand frame, at rest [m], shape (3,)
+    hand: name of a preset, or file; point: point in the hand frame, at rest [m], shape (3,)
     """
     vertices, labels = _labelled(hand)
     return REGIONS[int(labels[np.linalg.norm(vertices - point, axis=1).argmin()])]

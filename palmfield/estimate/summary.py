@@ -41,12 +41,13 @@ def skin_numbers(
     """Return for one skin: solver, error estimate, p0 band and sensation level, units in the names.
 
     loudest: the moment of the highest ARP on the skin, None if no sound reached it.
-    budget: of `estimated_budget`.
-    times: of the records [s], shape (t,). normal: displacement along the outward normal [m], shape (t, S).
+    budget: as returned by `estimated_budget`.
+    times: times of the records [s], shape (t,). normal: displacement along the outward normal [m], shape (t, S).
     arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo time at the start of the run
     [s]. `reduction_velocity_error_relative` is the velocity error of modes; other solvers have none.
     input_band_low, _high: factors of the motion over all inputs with a known range (`combined`); input_band_parts: of
-    each input; peak_displacement_low_m, _high_m: with that band; verdict: of `palmfield.outputs.verdict.verdict`.
+    each input; peak_displacement_low_m, _high_m: ends of its band; verdict: as returned by
+    `palmfield.outputs.verdict.verdict`.
     accuracy_reached: whether the error is within the target accuracy, None if there is no estimate.
     If the error estimate fails, `displacement_error_missing` gives the reason; the results remain valid without it.
     """
@@ -139,7 +140,8 @@ def stimulus_numbers(
     sound reached any skin, it is the commanded drive, since the sound may have missed the skins.
 
     peak_drive: largest commanded amplitude of each transducer in the run, shape (N,); 0 by default.
-    turns: of each stimulus; a stimulus with several foci has `phase_turns` (number) and `phase_turn_times_s` [s].
+    turns: times of the phase jumps of each stimulus; a stimulus with several foci has `phase_turns` (number) and
+    `phase_turn_times_s` [s].
     """
     model = simulation.runtime.model
     moments = list(loudest)
@@ -187,7 +189,7 @@ def scene_numbers(
 ) -> dict[str, Any]:
     """Return for the whole scene: device of the fields, board, and highest level of the drive.
 
-    loudest: of each skin; peak_drive: as in `stimulus_numbers`
+    loudest: loudest moment of each skin; peak_drive: as in `stimulus_numbers`
     """
     model = simulation.runtime.model
     levels = [one["drive_level"] for one in stimulus_numbers(simulation, loudest, peak_drive).values()]

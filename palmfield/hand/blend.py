@@ -16,6 +16,7 @@ def bone_shifts(origins: Float, positions: Float, turns: Float) -> Float:
 def blended(bones: Int, shares: Float, shifts: Float, turns: Float) -> tuple[Float, Float]:
     """Return the blended shift [m], shape (n, 3), and matrix, shape (n, 3, 3), of each point.
 
-    bones, shares: bone numbers and weights, shape (n, k); shifts, turns: of all bones, see `bone_shifts`
+    bones, shares: bone numbers and weights, shape (n, k); shifts, turns: shift and rotation of each bone, see
+    `bone_shifts`
     """
     return np.einsum("nk,nki->ni", shares, shifts[bones]), np.einsum("nk,nkij->nij", shares, turns[bones])

@@ -24,7 +24,7 @@ PIECE_SHARES = (0.1, 0.25)
 class Chirality:
     """Side of a hand. side: "right", "left" or "unknown"; sureness: 0 to 1; palm: unit outward direction, shape (3,),
     an estimate if the side is unknown; tips: digit tips, shape (k, 3), from the thumb on; middle: centre of the skin
-    between wrist and webs, shape (3,); reason: in words
+    between wrist and webs, shape (3,); reason: reason in words
     """
 
     side: str
@@ -91,9 +91,9 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     ordered = vertices[tips[[thumb, *from_thumb]]]
     sign = 1.0 if right else -1.0
     reason = (
-        f"lengths relative to the fingers: the thumb branches off {web_offset:.2f} and ends {nearer:.2f} closer to "
-        f"the wrist than the other digits; towards the palm it lies {sign * of_thumb:+.2f} and the fingertips "
-        f"{sign * of_tips:+.2f}"
+        f"relative to the length of the fingers, the thumb branches off {web_offset:.2f} and ends {nearer:.2f} closer "
+        f"to the wrist than the other digits; the thumb is {sign * of_thumb:+.2f} and the fingertips are "
+        f"{sign * of_tips:+.2f} towards the palm"
     )
     if by_name:
         return Chirality(named, thumb_sureness, palm, ordered, middle, f"from the joint names; {reason}")

@@ -31,7 +31,7 @@ MOST_FACES, ENOUGH_FACES = 1_000_000, 50_000
 class Examined:
     """A mesh after repair, in metres; it may be used if no finding is refused.
 
-    vertices: shape (n, 3); faces: shape (m, 3); unit: unit of the file; findings: with places in metres;
+    vertices: shape (n, 3); faces: shape (m, 3); unit: unit of the file; findings: findings with places in metres;
     rig: weights at these vertices and joints in metres, or None; file_vertices, file_faces: counts in the file
     """
 

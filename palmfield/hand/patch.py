@@ -124,7 +124,7 @@ class DepthField(NamedTuple):
     """Depth of a layer at the vertices of a triangulation of the plane under it.
 
     plane: [m], shape (n, 2); faces: shape (m, 3)
-    requested, depth: of the layer before and after it was fitted into the body [m], shape (n,)
+    requested, depth: depth of the layer before and after it was fitted into the body [m], shape (n,)
     """
 
     plane: Float

@@ -48,7 +48,7 @@ class Finding:
 class Repair:
     """A mesh during repair; faults that cannot be repaired are reported as refused, and the mesh is not changed there.
 
-    vertices: shape (n, 3); faces: shape (m, 3); findings: in the order of the steps
+    vertices: shape (n, 3); faces: shape (m, 3); findings: findings in the order of the steps
     carry: matrix from values at the vertices of the file to values at `vertices`, shape (n, n_file)
     """
 
@@ -205,7 +205,7 @@ def _drop_fins(mesh: Repair) -> None:
         edges, count = unique_edges(mesh.faces)
         bad = edges[count > 2]
     if removed:
-        text = f"{removed} faces of sheets attached to edges with three faces were removed"
+        text = f"faces of sheets attached to edges with three faces were removed ({removed})"
         mesh.note("non-manifold edges", len(places), "repaired", places, text)
     where = mesh.vertices[bad].mean(axis=1)
     text = "edges are shared by more than two faces; remove the extra faces"

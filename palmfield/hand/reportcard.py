@@ -50,7 +50,7 @@ PALMAR_COSINE = 0.3
 
 @dataclass(frozen=True)
 class ReportCard:
-    """Report on a mesh. facts: as in the JSON file; mesh: after repair; refusal: reason, or None if it is accepted;
+    """Report on a mesh. facts: as in the JSON file; mesh: repaired mesh; refusal: reason, or None if it is accepted;
     doubts: reasons why the mesh may not be a hand or may have local errors
     """
 
@@ -122,7 +122,8 @@ def _hand_doubts(mesh: Examined, hand: Chirality, named: str) -> list[str]:
         doubts.append(f"its joints are named for a {named} hand, but its shape is that of a {hand.side} hand")
     handles = 1 - (len(mesh.vertices) - len(unique_edges(mesh.faces)[0]) + len(mesh.faces)) // 2
     if handles:
-        doubts.append(f"the surface has {handles} through-holes, like a ring; fingers may be merged")
+        holes = "1 through-hole" if handles == 1 else f"{handles} through-holes"
+        doubts.append(f"the surface has {holes}, like a ring; fingers may be merged")
     length, breadth, _ = np.ptp(mesh.vertices @ plane_axes(mesh.vertices).T, axis=0)
     if not size_of_a_hand(float(length), float(breadth)):
         doubts.append(f"it is {1e3 * length:.0f} x {1e3 * breadth:.0f} mm long and broad; {HAND_SIZES}")
@@ -200,7 +201,7 @@ def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str
 
 
 def as_text(facts: dict[str, Any]) -> str:
-    """Return the card as lines of plain text; facts: from `report_card` or `refused_facts`."""
+    """Return the card as lines of plain text; facts: as returned by `report_card` or `refused_facts`."""
     rows = _shape_rows(facts) if "size_mm" in facts else [("file", facts["file"]), ("unit", facts["unit_asked"])]
     for finding in facts["findings"]:
         at = "".join(f" ({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in finding["places_mm"][:3])

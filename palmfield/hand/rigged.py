@@ -24,8 +24,8 @@ class Joints:
 
 @dataclass(frozen=True)
 class RiggedMesh:
-    """A mesh on joints. surface: closed mesh [m]; joints: with rest frames [m]; weights: shape (n, 4), rows add up to
-    1; indices: joint of each weight, shape (n, 4), int32
+    """A mesh on joints. surface: closed mesh [m]; joints: joints with rest frames [m]; weights: shape (n, 4), rows add
+    up to 1; indices: joint of each weight, shape (n, 4), int32
     """
 
     surface: Surface

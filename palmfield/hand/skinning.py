@@ -111,7 +111,8 @@ def _diffused(weights: Float, surface: Surface) -> Float:
 class SkinnedSurface:
     """A skin that follows bones, whose frames are parallel to that of the surface in the rest pose.
 
-    bones: names and rest origins; surface: skin in the rest pose; origins: of the bones at rest [m], shape (bones, 3)
+    bones: names and rest origins; surface: skin in the rest pose; origins: origins of the bones at rest [m], shape
+    (bones, 3)
     weights: weight of each bone at each vertex, shape (n, bones), at most four per vertex, rows of sum 1
     The methods are thread-safe; threads wait for each other. After `pose` the arrays `vertices` and `normals` contain
     the posed skin on the device (Warp, vec3), until the next pose of any thread.
@@ -134,7 +135,7 @@ class SkinnedSurface:
     def posed(self, bone_positions: Float, bone_rotations: Float) -> Float:
         """Return the posed vertices [m], shape (n, 3), by linear blend skinning in float32.
 
-        bone_positions, bone_rotations: of the frames of `bones` in any common frame, shapes (bones, 3) [m] and
+        bone_positions, bone_rotations: poses of the frames of `bones` in any common frame, shapes (bones, 3) [m] and
         (bones, 3, 3). Raises SceneError for other shapes.
         """
         with self._lock:
@@ -206,7 +207,7 @@ class SkinnedSurface:
 class SkinnedHand(SkinnedSurface):
     """Skin of an articulated hand that follows its bones.
 
-    hand: bones and joints; weights: as `skin_weights`
+    hand: bones and joints; weights: as returned by `skin_weights`
     """
 
     def __init__(self, preset: HandPreset, edge_m: float = 0.003, device: str = "cpu") -> None:

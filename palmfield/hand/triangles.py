@@ -213,7 +213,7 @@ def face_components(faces: Int, cut: Int | None = None) -> Int:
 
 
 def largest_part(faces: Int, area: Float) -> NDArray[np.bool_]:
-    """Return True for faces of the edge-connected part with the largest area, shape (m,); area: of each face."""
+    """Return True for faces of the edge-connected part with the largest area, shape (m,); area: area of each face."""
     label = face_components(faces)
     return label == np.argmax(np.bincount(label, weights=area))
 

@@ -17,7 +17,7 @@ NEEDS_FOCUS = ("plate", "focus", "sweep")
 def add_readings(kind: str, readings: Path, board: Path, layout: str | None, circumstances: Circumstances) -> list[str]:
     """Add readings to the calibration file `board`, which is created if missing; return their results.
 
-    kind: a key of `MEASUREMENTS`; layout: of the array, needed for a new file
+    kind: a key of `MEASUREMENTS`; layout: layout of the array, needed for a new file
     Raises SceneError for invalid files, layouts and sources, PalmfieldError for unusable readings, OutputError
     if the file cannot be written; it is then unchanged.
     """

@@ -28,7 +28,7 @@ GOOD_RAD = 1.0
 
 @dataclass(frozen=True)
 class DecodedFocus:
-    """One emission. time_s: its start; focus: in the array frame [m], NaN if there is none
+    """One emission. time_s: its start; focus: focus in the array frame [m], NaN if there is none
 
     misfit_rad: rms phase difference from that focus; sounding: number of transducers that are on; level: their mean
     amplitude relative to full drive
@@ -43,7 +43,9 @@ class DecodedFocus:
 
 @dataclass(frozen=True)
 class Decoded:
-    """Decoded bytes. head: of the log; foci: by time; flags: errors of the virtual board; frames: number, in words"""
+    """Decoded bytes. head: head of the log; foci: foci by time; flags: errors of the virtual board; frames: number, in
+    words
+    """
 
     head: LogHead
     foci: list[DecodedFocus]

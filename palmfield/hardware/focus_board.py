@@ -26,9 +26,10 @@ from palmfield.types import Air, Array, Complex, Estimate, Float
 class FocusSound:
     """Parameters of a focus that is played without a scene.
 
-    level: amplitude of all transducers, 0..1; am_frequency_Hz: of a sine between silence and that level, 0 for none
-    p0_Pa_m: as in layouts, None: value of the layout; air: of the sound field
-    layout: of the array, or a CSV file of its transducers, None: first layout of the board
+    level: amplitude of all transducers, 0..1; am_frequency_Hz: frequency of a sine between silence and that level, 0
+    for none
+    p0_Pa_m: as in layouts, None: value of the layout; air: air of the sound field
+    layout: layout of the array, or a CSV file of its transducers, None: first layout of the board
     calibration: file of its transducers, as in key `calibration` of palmfield.array
     """
 
@@ -42,9 +43,9 @@ class FocusSound:
 
 @dataclass(frozen=True)
 class FocusBoard:
-    """A board, its array and its sound. p0: of the layout or calibration; notes: messages for the user
+    """A board, its array and its sound. p0: p0 of the layout or calibration; notes: messages for the user
 
-    sound: without modulation made by the board; layout: of the array
+    sound: without modulation made by the board; layout: layout of the array
     """
 
     board: Board

@@ -106,7 +106,7 @@ def play_live(
 
 
 class _Live:
-    """Makes frames of the newest focus. came_s: for the first frame of each focus, arrival of the focus [s]"""
+    """Makes frames of the newest focus. came_s: arrival of each focus [s], at its first frame"""
 
     def __init__(self, made: FocusBoard, limits: SoundLimits, listener: FocusListener, player: Player) -> None:
         self.made, self.listener, self.player = made, listener, player

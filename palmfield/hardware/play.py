@@ -38,7 +38,9 @@ LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Target:
-    """Target of bytes. port: of a board, or None; record: file for bytes without a port; log: file of sent bytes"""
+    """Target of bytes. port: port of a board, or None; record: file for bytes without a port; log: file of sent
+    bytes
+    """
 
     port: str | None = None
     record: Path | None = None
@@ -58,7 +60,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Performance:
-    """Report of a play. text: in words; warning: for users, empty if none"""
+    """Report of a play. text: text in words; warning: warning for users, empty if none"""
 
     text: str
     warning: str = ""
@@ -83,7 +85,7 @@ def play_focus(
 ) -> Performance:
     """Emit one focus (array frame [m]) for `duration_s`; return a report, in words.
 
-    keys: of the board, as in palmfield.driver; progress: whether to show a progress bar on the standard error of a
+    keys: keys of the board, as in palmfield.driver; progress: whether to show a progress bar on the standard error of a
     terminal Raises SceneError for a focus behind the array or more than metres away, DeviceError for an unknown or
     lost board, and for a level or a modulation that it cannot play.
     """
@@ -143,7 +145,7 @@ def play_scene(
 ) -> Performance:
     """Play the stimuli of a scene, with poses of hands and arrays at the emission of each frame.
 
-    board: replaces that of the scene, as in `palmfield.load`; keys: as there
+    board: board instead of that of the scene, and keys: as in `palmfield.load`
     Raises SceneError for an invalid scene, DeviceError if the board cannot play it or is lost.
     """
     target.check()
@@ -226,7 +228,7 @@ def play_on_port(
 ) -> Performance:
     """Play frames by a separate process, `palmfield.drive.player`; return a report, in a sentence.
 
-    head: of the log. Raises DeviceError if the port cannot be opened or is lost.
+    head: head of the log. Raises DeviceError if the port cannot be opened or is lost.
     """
     if log is not None:
         assert head is not None

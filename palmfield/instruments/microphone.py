@@ -33,7 +33,8 @@ def series_terms(ka: float) -> tuple[Int, Complex]:
 
 
 def surface_pressure(ka: float, cosine: ArrayLike) -> Complex:
-    """Return the total pressure on a rigid fixed sphere in the wave exp(ikz), e^{-iwt}; cosine: of the angle from +z.
+    """Return the total pressure on a rigid fixed sphere in the wave exp(ikz), e^{-iwt}; cosine: cosine of the angle
+    from +z.
 
     p = sum (2n+1) i^n P_n [j_n - j_n'/h_n' h_n](ka), by the Wronskian (2n+1) i^n P_n i/((ka)^2 h_n') (Morse & Ingard,
     Theoretical Acoustics, section 8.2).
@@ -93,7 +94,7 @@ def microphone_scan(
     """Return the reading of a microphone at positions of the centre of its diaphragm [Pa], complex, (point,).
 
     pressure_at: sound without the microphone, for example `palmfield.acoustics.pressure` at points
-    wavenumber: of the sound [rad/m], needed for face "cylinder"
+    wavenumber: wavenumber of the sound [rad/m], needed for face "cylinder"
     The reading is the mean over the diaphragm times `face_factor`, for sound from the front; for other directions see
     `angle_response` and `palmfield.instruments.microphone_body.face_rise`.
     """
@@ -118,7 +119,7 @@ def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> C
     at 40 kHz, sound from the front is raised by 3.4 dB and sound at 50 degrees by 2.5 dB. Multiply the mean over the
     diaphragm of `microphone_scan` by this factor for each source separately.
 
-    cosine: of the angle between the outward normal of the diaphragm and the direction to the source, -1 to 1
+    cosine: cosine of the angle between the outward normal of the diaphragm and the direction to the source, -1 to 1
     Raises MeasurementError for others, a diameter below 0 and a wavenumber that is not above 0.
     """
     ahead = np.asarray(cosine, dtype=float)

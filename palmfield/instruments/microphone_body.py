@@ -24,8 +24,8 @@ def face_rise(diameter_m: float, wavenumber: float, cosine: float = 1.0) -> comp
     2.15 from k a = 2 on, with edge diffraction and doubling. With e^{-i w t} a delay is +phase. The error is 0.3 dB:
     0.1 dB by the mesh (change with half the edge length), 0.2 dB by the length. The first call takes over a second.
 
-    diameter_m: of face and body; wavenumber: [rad/m]; cosine: of the angle between the outward normal of the face and
-    the direction to the source
+    diameter_m: diameter of face and body; wavenumber: [rad/m]; cosine: cosine of the angle between the outward normal
+    of the face and the direction to the source
     Raises MeasurementError for cosines beyond -1 and 1, and for k a that is not above 0 or above MOST_KA.
     """
     ka = 0.5 * diameter_m * wavenumber

@@ -23,7 +23,8 @@ SETTLED_M = 1e-9
 class Registration(NamedTuple):
     """Pose of a scan on a surface.
 
-    transform: from the frame of the scan to that of the surface; residual_m: distances from the surface, shape (n,)
+    transform: transform from the frame of the scan to that of the surface; residual_m: distances from the surface,
+    shape (n,)
     fiducials_m: distance of each fiducial from its partner, shape (k,), empty without fiducials
     undetermined: number of rigid motions, of three shifts and three rotations, not determined by the surface
     turns: number of these that rotate the scan without a shift, 1 on a plane

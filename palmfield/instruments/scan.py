@@ -28,7 +28,7 @@ class Scan:
     quantity: quantity measured along the beams; times_s: evenly spaced, from the trigger [s], shape (t,)
     points: [m], shape (n, 3), in the frame of the scan; values: [m or m/s], shape (t, n)
     sights: unit vectors from the points to the head, shape (n, 3), or None if not given
-    name: for messages and pictures
+    name: name for messages and pictures
     Raises MeasurementError for other shapes, fewer than 16 samples, uneven times, numbers that are not finite, points
     at equal positions, and lines of sight of length 0.
     """

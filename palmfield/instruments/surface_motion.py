@@ -21,7 +21,8 @@ MILLIMETRES = 1e3
 class SurfaceMotion(NamedTuple):
     """Motion of points of a surface, in one frame.
 
-    times_s: rising [s], shape (t,); points: at rest [m], shape (n, 3); normals: outward unit normals, shape (n, 3)
+    times_s: rising [s], shape (t,); points: points at rest [m], shape (n, 3); normals: outward unit normals, shape (n,
+    3)
     displacement_m: [m], velocity_m_s: [m/s], shape (t, n, 3)
     """
 

@@ -18,7 +18,7 @@ Lobe = Literal["outermost", "central"]
 def area_above(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, level: float) -> float:
     """Return the area in which a map reaches a level [m^2]; the map is linear between grid points.
 
-    values: shape (m, n) at rising x (m,) and y (n,) [m]; level: in the unit of the map
+    values: shape (m, n) at rising x (m,) and y (n,) [m]; level: level in the unit of the map
     Raises MeasurementError for other shapes, and for values or a level that are not finite.
     """
     field, x, y = grid(values, x_m, y_m)

@@ -20,7 +20,8 @@ Of = Literal["magnitude", "negative", "positive"]
 def within(times_s: ArrayLike, values: ArrayLike, window_s: Window, *, single: bool = False) -> tuple[Float, Float]:
     """Return the samples of a window: times, shape (k,), and values, shape (k, ...).
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t, ...); window_s: (start, end) [s], both included,
+    times_s: rising [s], shape (t,); values: values in any unit, shape (t, ...); window_s: (start, end) [s], both
+    included,
         None is the whole record; single: whether to require one signal, shape (t,)
     Raises MeasurementError for other shapes, NaN, and a window with fewer than two samples.
     """
@@ -58,7 +59,7 @@ def last_periods(times_s: ArrayLike, frequency_Hz: float, periods: int) -> tuple
 def mean_value(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -> float:
     """Return the mean of the samples in a window, in the unit of the signal.
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as for `within`
+    times_s: rising [s], shape (t,); values: values in any unit, shape (t,); window_s: as for `within`
     Raises MeasurementError as `within`.
     """
     return float(within(times_s, values, window_s)[1].mean())
@@ -67,7 +68,7 @@ def mean_value(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -
 def steady_value(times_s: ArrayLike, values: ArrayLike, window_s: tuple[float, float]) -> float:
     """Return the final value of a step response: the mean over a window near the end of the stimulus.
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as for `within`
+    times_s: rising [s], shape (t,); values: values in any unit, shape (t,); window_s: as for `within`
     Raises MeasurementError as `within`.
     """
     return mean_value(times_s, values, window_s)
@@ -78,7 +79,7 @@ def peak(
 ) -> tuple[float, float]:
     """Return time [s] and signed value of the sample of largest magnitude, or of the lowest or highest sample.
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as for `within`
+    times_s: rising [s], shape (t,); values: values in any unit, shape (t,); window_s: as for `within`
     of: "magnitude", "negative" or "positive"
     Raises MeasurementError as `within`, and for another `of`.
     """
@@ -153,7 +154,7 @@ def rms(
 ) -> float:
     """Return the root mean square over a window, in the unit of the signal.
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as for `within`
+    times_s: rising [s], shape (t,); values: values in any unit, shape (t,); window_s: as for `within`
     mean: "kept" or "removed", whether the mean is subtracted first
     Raises MeasurementError as `within`, and for another `mean`.
     """

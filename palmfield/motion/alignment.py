@@ -33,7 +33,8 @@ class Alignment(BaseModel):
 
     position_m: origin of the tracker; quaternion: w first; points: number of touches; rms_m: misfit
     touch_sd_m: standard deviation of a touch per axis, from the misfit of 4 points or more, else TOUCH_SD_M
-    turn_sd_rad: of the rotation about its least certain axis; sd_m: of a point 0.2 m above the points, all axes
+    turn_sd_rad: standard deviation of the rotation about its least certain axis; sd_m: standard deviation of a point
+    0.2 m above the points, all axes
     off_plane_m: extent of the points normal to their best plane; None in older files
     """
 

@@ -35,7 +35,7 @@ class HandJoints:
 
     bones: index of the bone that carries each joint, shape (26,); positions: [m], shape (26, 3)
     frames: orientations with columns x, y, z, shape (26, 3, 3); -z is along the bone to the tip, y to the back
-    radii: from the joint to the skin at its side [m], shape (26,)
+    radii: radii from the joint to the skin at its side [m], shape (26,)
     """
 
     bones: Int

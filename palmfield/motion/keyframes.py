@@ -107,7 +107,8 @@ def keyframes(
     """Return a motion through keys that starts and ends at rest.
 
     times_s: rising [s], two or more, shape (n,)
-    positions: of the hand frame [m], shape (n, 3); quaternions: orientations, w first, any length, shape (n, 4)
+    positions: positions of the hand frame [m], shape (n, 3); quaternions: orientations, w first, any length, shape (n,
+    4)
     poses: n names as in `named_pose`, or angles [deg] by joint, with other joints at rest
     Raises SceneError for times that do not rise, other numbers of keys, numbers that are not finite, a quaternion of
     length 0, an unknown pose or joint, and an angle out of its range.

@@ -26,7 +26,8 @@ class Listener(LineListener):
     """Context manager that reads samples from a socket.
 
     samples: valid samples in the order of arrival, with rising times of the tracker
-    offset_s: from the clock of the tracker to that of this machine [s], by the sample with the shortest transport
+    offset_s: offset from the clock of the tracker to that of this machine [s], by the sample with the shortest
+    transport
     """
 
     def __init__(

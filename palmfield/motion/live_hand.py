@@ -26,8 +26,8 @@ PREDICT_S = 0.2
 
 
 class LivePose(NamedTuple):
-    """A live pose. pose: in the world; arrived_s: arrival of its sample [s, monotonic clock]; sample_s: time of the
-    sample on the clock of the tracker [s], without extrapolation"""
+    """A live pose. pose: pose in the world; arrived_s: arrival of its sample [s, monotonic clock]; sample_s: time of
+    the sample on the clock of the tracker [s], without extrapolation"""
 
     pose: HandPose
     arrived_s: float

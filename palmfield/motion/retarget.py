@@ -116,7 +116,8 @@ class Followed(NamedTuple):
     """Fit of a hand to a packet.
 
     position [m], quaternion (w first), angles_deg: of all joints, shape (joints,)
-    tip_misses: of the valid tips [m]; palm_misses: of the valid joints of the palm [m], shape (k, 3)
+    tip_misses: residuals of the valid tips [m]; palm_misses: residuals of the valid joints of the palm [m], shape (k,
+    3)
     """
 
     position: Float
@@ -236,7 +237,7 @@ def _turned_and_scaled(target: Float, centred: Float) -> tuple[Float, Float, flo
 
 
 class _Placed(NamedTuple):
-    """The posed hand. origins: of bones [m], shape (bones, 3); rotations: shape (bones, 3, 3)
+    """The posed hand. origins: origins of bones [m], shape (bones, 3); rotations: shape (bones, 3, 3)
 
     joints: joints and tip beyond the root of each digit [m], shape (5, 3, 3)
     """

@@ -34,7 +34,7 @@ class Stream:
     """Packets of tracked joints in the order of arrival.
 
     times_s: times of measurement [s], shape (n,), not always rising
-    positions: of JOINTS in the world [m], shape (n, 26, 3)
+    positions: positions of JOINTS in the world [m], shape (n, 26, 3)
     quaternions: orientations, w first (last in OpenXR), shape (n, 26, 4)
     radii: [m], shape (n, 26)
     flags: XrSpaceLocationFlags, shape (n, 26); joints not flagged as valid are ignored and may have any numbers

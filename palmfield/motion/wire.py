@@ -39,7 +39,9 @@ RADIUS_M = 0.01
 
 
 class Sample(NamedTuple):
-    """A sample of one hand. time_s: on the clock of the tracker [s]; others as in `palmfield.motion.tracking.Stream`"""
+    """A sample of one hand. time_s: time on the clock of the tracker [s]; others as in
+    `palmfield.motion.tracking.Stream`
+    """
 
     time_s: float
     positions: Float

@@ -227,7 +227,8 @@ class DataView:
 
 
 class PluginSensor(NamedTuple):
-    """A sensor of a plugin instance. kind: of the object it is attached to, "site", "body" or ""; target: its number;
+    """A sensor of a plugin instance. kind: kind of the object it is attached to, "site", "body" or ""; target: its
+    number;
     data: view of its values, shape (channels,), at `offsets` in the sensor data"""
 
     name: str

@@ -39,7 +39,7 @@ def look_along_emission(
     """Return a camera that looks at the insonified sides, with all points in a window of the picture.
 
     points: [m] in the world, shape (n, 3); array_pose: shape (7,); window: left, top, width, height [pixels]
-    azimuth_deg: of the view, about the z axis of the array
+    azimuth_deg: azimuth of the view, about the z axis of the array
     The view is obliquely along +z of the array, so that array and target are side by side. The z axis of the world
     points up.
     """

@@ -37,9 +37,9 @@ class Under(NamedTuple):
 def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
     """Return the vertices of a body that its skins cover, and the depths at which they are drawn.
 
-    points: of the body at rest [m], (n, 3); skins: nodes [m] (s, 3), triangles (f, 3) and outward normals (s, 3) of
-    each The depth is SLOPE times the distance to the rim of the skin, at most SUNK_M, so that body and skin meet at the
-    rim.
+    points: points of the body at rest [m], (n, 3); skins: nodes [m] (s, 3), triangles (f, 3) and outward normals (s,
+    3) of each The depth is SLOPE times the distance to the rim of the skin, at most SUNK_M, so that body and skin meet
+    at the rim.
     """
     found = [Under(*(np.zeros(0, np.int32),) * 3, np.zeros(0))]
     free: NDArray[np.bool_] = np.ones(len(points), np.bool_)
@@ -63,7 +63,8 @@ def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
 def sunk(surface: xr.Dataset, skins: list[xr.Dataset]) -> xr.Dataset:
     """Return the surface of a body with rest positions lowered below skins.
 
-    surface: of `instances(result, "surface")`; skins: of `instances(result, "skin")`, on the same body
+    surface: as returned by `instances(result, "surface")`; skins: as returned by `instances(result, "skin")`, on the
+    same body
     """
     points: Float = surface["rest_position"].values.astype(float)
     shapes = [(skin["rest_position"].values, skin["face"].values, skin["rest_normal"].values) for skin in skins]

@@ -43,11 +43,11 @@ POSES = 16
 
 @dataclass(frozen=True)
 class Cut:
-    """Contents of a film. start_s, end_s: of the run [s], None for its ends; slow: slow-motion factor
+    """Contents of a film. start_s, end_s: part of the run [s], None for its ends; slow: slow-motion factor
 
     magnify: factor of the motion along the normal; None shows the largest motion as DISPLAYED_M
     shown: quantity of the colours, one of SHOWN
-    limits: of the colour scale, in the unit of `shown`; size: width and height [pixels], even
+    limits: limits of the colour scale, in the unit of `shown`; size: width and height [pixels], even
     """
 
     start_s: float | None = None
@@ -76,10 +76,10 @@ def film(
 ) -> int:
     """Write an MP4 (H.264) of the skins of a run; return its number of frames.
 
-    result: of `open_result`, with displacement of at least one skin; on_frame: called with the numbers of completed and
-    of all frames The camera sees all skins at all times. Ctrl-C ends the film early; the finished part can be played.
-    Raises OutputError for times outside the run, invalid numbers, a result without motion, if PyAV is missing (extra
-    `video`), and if `path` cannot be written.
+    result: as returned by `open_result`, with displacement of at least one skin; on_frame: called with the numbers of
+    completed and of all frames The camera sees all skins at all times. Ctrl-C ends the film early; the finished part
+    can be played. Raises OutputError for times outside the run, invalid numbers, a result without motion, if PyAV is
+    missing (extra `video`), and if `path` cannot be written.
     """
     settings = cut or Cut()
     file = Path(path)

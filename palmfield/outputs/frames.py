@@ -72,8 +72,8 @@ def pose_at(group: xr.Dataset | None, time_s: float) -> Float:
 def posed(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
     """Return vertices of a skin or a surface [m], shape (n, 3), in the body frame at the step nearest to a time [s].
 
-    mesh: one of `instances(result, "skin")` or `instances(result, "surface")`; body: of the same name. Vertices of an
-    articulated hand are blended linearly from its bones; those of other bodies are as at rest.
+    mesh: one of `instances(result, "skin")` or `instances(result, "surface")`; body: body of the same name. Vertices
+    of an articulated hand are blended linearly from its bones; those of other bodies are as at rest.
     """
     rest: Float = mesh["rest_position"].values
     if body is None or not has_records(body, "bone_pose") or "bone_index" not in mesh:

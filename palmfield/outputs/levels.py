@@ -23,11 +23,11 @@ from palmfield.types import Float32
 def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | None = None) -> xr.Dataset:
     """Return levels above threshold of each contact observer at each vertex, in the steady part of a run.
 
-    result: of `open_result` or `tree`, of a run that began at 0 s; skin, stimulus: instances, the only ones by default.
-    The level includes all lines (`palmfield.perception.maps.felt_lines`), whose frequencies are an attribute. Returns
-    `level` [dB SL], dimensions (observer, vertex), NaN if the table of an observer has none of the lines, -inf for a
-    vertex at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is treated separately, without summation
-    over area. The force observer has no map, because it does not depend on the motion of the skin.
+    result: as returned by `open_result` or `tree`, of a run that began at 0 s; skin, stimulus: instances, the only
+    ones by default. The level includes all lines (`palmfield.perception.maps.felt_lines`), whose frequencies are an
+    attribute. Returns `level` [dB SL], dimensions (observer, vertex), NaN if the table of an observer has none of the
+    lines, -inf for a vertex at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is treated separately,
+    without summation over area. The force observer has no map, because it does not depend on the motion of the skin.
     Raises OutputError for an unknown instance, several instances without a name, a result without displacement, and a
     result shorter than two periods of the main frequency.
     """
@@ -66,7 +66,9 @@ class LevelCourse:
     """
 
     def __init__(self, skin: xr.Dataset, observer: str, frequencies_Hz: list[float]):
-        """skin: of `instances(result, "skin")`. Raises OutputError for a skin whose record has no usable line."""
+        """skin: as returned by `instances(result, "skin")`. Raises OutputError for a skin whose record has no usable
+        line.
+        """
         self._skin, self._observer = skin, OBSERVERS[observer]
         times = skin["time"].values.astype(float)
         self.frequencies_Hz = lines_in(times, frequencies_Hz)

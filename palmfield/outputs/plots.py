@@ -34,8 +34,9 @@ def plot_pressure(result: xr.DataTree, path: Path) -> None:
 def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s: float | None = None) -> Figure:
     """Draw peak pressure amplitude and ARP on each skin at its loudest moment, with view onto the array that it faces.
 
-    result: of `open_result` or `tree`, with a skin and loudest_pressure or arp, and an array. Each skin has a row.
-    names: of skins, None for all; time_s: another time [s], for results with pressure or arp over time
+    result: as returned by `open_result` or `tree`, with a skin and loudest_pressure or arp, and an array. Each skin
+    has a row.
+    names: names of skins, None for all; time_s: another time [s], for results with pressure or arp over time
     Raises OutputError if none of these exists, and for a time outside the run.
     """
     shown = {name: skin for name, skin in instances(result, "skin").items() if names is None or name in names}
@@ -68,7 +69,7 @@ def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s
 def plot_displacement(result: xr.DataTree, path: Path) -> None:
     """Draw a PNG of normal displacement and spectrum of each skin at the vertex of largest motion and two more.
 
-    result: of `open_result` or `tree`, with displacement; each skin has a column
+    result: as returned by `open_result` or `tree`, with displacement; each skin has a column
     Raises OutputError if there is no displacement, and if `path` cannot be written.
     """
     skins = {name: skin for name, skin in instances(result, "skin").items() if has_records(skin, "displacement")}
@@ -98,7 +99,9 @@ def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
 
 
 def _pressures(skin: xr.Dataset, when: Loudest, over_time: bool) -> list[tuple[str, str, Float]]:
-    """Return title, colours and values [Pa] of each panel of a skin; over_time: from the record, at the time `when`."""
+    """Return title, colours and values [Pa] of each panel of a skin; over_time: whether the values are from the record
+    at the time `when`.
+    """
     panels: list[tuple[str, str, Float]] = []
     for name, title, colours in ("pressure", "Peak pressure", "magma"), ("arp", "Radiation pressure (ARP)", "viridis"):
         if not over_time and has_records(skin, f"loudest_{name}"):
@@ -135,7 +138,7 @@ def _draw_skin(
     panels: list[tuple[str, str, Float]],
     stimuli: list[tuple[xr.Dataset, list[int]]],
 ) -> None:
-    """stimuli: with the numbers of the focal points to draw"""
+    """stimuli: stimuli with the numbers of the focal points to draw"""
     columns = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, colours, values) in zip(columns, panels, strict=True):
         faces, shown, limits = skin["face"].values, np.nan_to_num(values), (0.0, max(float(np.nanmax(values)), 1e-9))

@@ -76,7 +76,7 @@ def render_scene(
 ) -> None:
     """Draw a PNG of arrays and bodies, coloured by peak pressure amplitude at the loudest moments.
 
-    result: of `open_result` or `tree`, with arrays and a surface that has loudest_pressure
+    result: as returned by `open_result` or `tree`, with arrays and a surface that has loudest_pressure
     size: width and height [pixels]; image: `scene_image` of the result, made now if None
     Poses are those of the loudest moment of all skins. The camera looks obliquely along the emission of the first
     array: it sees the insonified side of the body, and the array from behind, through its board. With several arrays,

@@ -23,7 +23,7 @@ class LevelMap:
     """Highest level of a play at each point of a region, projected to a plane.
 
     places_m: points in the plane [m], shape (n, 2); levels_dB: shape (n,); loudest_m: loudest point, shape (2,)
-    loudest_dB: level there; limits_dB: by name; axes: names of the two directions of the plane
+    loudest_dB: level there; limits_dB: limits by name; axes: names of the two directions of the plane
     """
 
     name: str
@@ -37,7 +37,7 @@ class LevelMap:
 
 @dataclass(frozen=True)
 class LevelCourse:
-    """Highest level in each region at moments of a play. levels_dB: by region, shapes (k,)"""
+    """Highest level in each region at moments of a play. levels_dB: levels by region, shapes (k,)"""
 
     times_s: Float
     levels_dB: Mapping[str, Float]

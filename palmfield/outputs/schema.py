@@ -311,7 +311,8 @@ def variables_of(path: str) -> dict[str, Variable]:
 def check(arrays: Arrays, sizes: dict[tuple[str, str], int]) -> Checked:
     """Check data against the schema; return them as arrays, copied only if necessary.
 
-    arrays: by group and variable. Arrays along `time`, `step_time` or `frame_time` need these times in the root ("/")
+    arrays: arrays by group and variable. Arrays along `time`, `step_time` or `frame_time` need these times in the root
+    ("/")
     sizes: lengths by (group, dimension) of earlier arrays; new lengths are added, except of record dimensions
     Raises OutputError for unknown groups and variables, wrong types, and inconsistent shapes.
     """
@@ -362,7 +363,7 @@ def _check_one(
 def tree(arrays: Arrays, attributes: Attributes | None = None) -> xr.DataTree:
     """Return a result in memory. Raises the OutputError of `check`.
 
-    arrays: by group and variable; attributes: of groups; those of "/" are of the whole result
+    arrays: arrays by group and variable; attributes: attributes of groups; those of "/" are of the whole result
     """
     checked = check(arrays, {})
     root = {name: xr.Variable((name,), np.array(names), {"long_name": what}) for name, (names, what) in LABELS.items()}

@@ -18,7 +18,8 @@ DISTANCES_M = (0.010, 0.020)
 class SkinView(NamedTuple):
     """A skin relative to an array at the loudest moment on the skin.
 
-    array: its name; pose: of the array, shape (7,); vertices: of the skin in the frame of the array [m], shape (n, 3)
+    array: its name; pose: pose of the array, shape (7,); vertices: vertices of the skin in the frame of the array [m],
+    shape (n, 3)
     """
 
     array: str
@@ -53,7 +54,7 @@ def draw_patch(
     """Draw the patch in x (to the right) and y (up) of the array with a colour bar, with view onto the array.
 
     Triangles closer to the array, which the sound reaches first, are drawn over the others.
-    vertices: in the frame of the array [m], shape (n, 3); values: shape (n,), in `unit`
+    vertices: vertices in the frame of the array [m], shape (n, 3); values: shape (n,), in `unit`
     gamma: exponent of the colour scale; below 1 it enhances small values
     """
     order = np.argsort(-vertices[faces].mean(axis=1)[:, 2])

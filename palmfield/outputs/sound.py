@@ -37,9 +37,9 @@ def sounding_foci(result: xr.DataTree, time_s: float) -> Float:
 def sound_at(arrays: dict[str, xr.Dataset], points: Float, time_s: float) -> Complex:
     """Return the complex amplitude [Pa] of all arrays at points in the world [m], shape (n, 3) -> (n,), at a time [s].
 
-    arrays: of `driven_arrays`. Obstacles are ignored; amplitudes and phases are those of the drive, so ring-up is not
-    included. Transducers are read from the result, with calibration and tilt. Raises OutputError for a result of
-    an earlier version with layout sites or csv, or with a calibration, which it does not store completely.
+    arrays: as returned by `driven_arrays`. Obstacles are ignored; amplitudes and phases are those of the drive, so
+    ring-up is not included. Transducers are read from the result, with calibration and tilt. Raises OutputError for a
+    result of an earlier version with layout sites or csv, or with a calibration, which it does not store completely.
     """
     total: Complex = np.zeros(len(points), complex)
     for name, array in arrays.items():

@@ -125,7 +125,7 @@ class Store:
 
     out: folder of the result, created if missing
     static: arrays by group and variable from before the first step (outputs/schema.py)
-    attributes: of groups; those of "/" are of the whole result: settings, versions
+    attributes: attributes of groups; those of "/" are of the whole result: settings, versions
     overwrite: whether `finish` may replace results of another run in the folder
     lost: reason why blocks are missing from the result of `finish`, or None
     Raises OutputError if `out` cannot be written, and if it contains an unfinished run or, without `overwrite`, results

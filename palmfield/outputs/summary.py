@@ -26,7 +26,7 @@ def summary(
 ) -> dict[str, Any]:
     """Return numbers of a result, units in the names; numbers that an interrupted run lacks are omitted.
 
-    result: of `open_result` or `tree`; extra: additional entries, placed last
+    result: as returned by `open_result` or `tree`; extra: additional entries, placed last
     skins, stimuli, arrays: additional entries of the elements of the lists, by instance
 
     `skins`, `arrays` and `stimuli` are lists with an element for each (`skin_numbers`). The largest of PEAKS over all

@@ -27,7 +27,8 @@ WIDTH = 110
 def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
     """Return the verdict of a run in one line, and a table of its numbers.
 
-    summary: of `palmfield.outputs.summary.summary`, with the additions of `palmfield.estimate.summary` if any
+    summary: as returned by `palmfield.outputs.summary.summary`, with the additions of `palmfield.estimate.summary` if
+    any
     details: whether to add drive, p0, solver, all observers and all parts of the error. Else the table has 14 lines
     for one skin: pressure, ARP, force, displacement, one level, error and time.
     """

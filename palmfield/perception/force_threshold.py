@@ -75,7 +75,7 @@ def force_level_dB_SL(observer: ForceObserver, amplitude_N: float) -> float:
 def force_near_peak_N(vertices: Float, faces: Int, arp: Float | Float32, area_m2: float) -> float:
     """Return the surface integral of the ARP over a disc about the vertex with the highest ARP [N].
 
-    vertices: [m], shape (n, 3); faces: shape (m, 3); arp: at the vertices [Pa], shape (n,), linear between them
+    vertices: [m], shape (n, 3); faces: shape (m, 3); arp: ARP at the vertices [Pa], shape (n,), linear between them
     area_m2: area of the disc [m^2]; on a curved surface, the part of it inside the sphere of the radius of the disc
     """
     radius = math.sqrt(area_m2 / math.pi)

@@ -207,7 +207,8 @@ def levels_dB_SL(
     sum is over the lines of one channel, and the channel with the highest level is used. DC and lines outside the
     table are ignored. Pass lines (`line_amplitude`), not the bins of a windowed spectrum: a Hann window counts a line
     1.5 times.
-    frequencies: of the lines [Hz], shape (n,); peak_amplitudes_m: at m points [m], shape (n, m)
+    frequencies: frequencies of the lines [Hz], shape (n,); peak_amplitudes_m: peak amplitudes at m points [m], shape
+    (n, m)
     area_m2, duration_s: as for `threshold_m`, with the same errors
     """
     frequency, amplitude = (np.asarray(one, dtype=np.float64) for one in (frequencies, peak_amplitudes_m))

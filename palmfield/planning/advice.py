@@ -266,7 +266,7 @@ def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
 
 
 def _hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
-    """Warn if the run ends while the sound still grows. duration_s: of the run, from time 0 of MuJoCo"""
+    """Warn if the run ends while the sound still grows. duration_s: duration of the run, from time 0 of MuJoCo"""
     config = stimulus.config
     lasts_s = duration_s - config.start_s
     if not 0.0 < lasts_s < config.ramp_s:

@@ -19,7 +19,7 @@ def where_it_arrives(posed: PosedScene, skin: int, drive: Complex) -> tuple[Floa
     """Return the point of highest free-field pressure on the side of a skin that faces the transducers.
 
     The results are a node and its outward normal, array frame, shapes (3,) [m], and the peak pressure there [Pa], 0 if
-    no node faces the transducers. drive: of all transducers (N,). Shadows and scattering are not included.
+    no node faces the transducers. drive: drive of all transducers (N,). Shadows and scattering are not included.
     """
     nodes, outwards = posed.skins[skin].nodes
     loud = np.abs(drive)

@@ -74,7 +74,9 @@ def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
 
 
 def _met(model: mujoco.MjModel, data: mujoco.MjData, begin: Float, end: Float, expected: set[int]) -> Iterable[int]:
-    """Yield other bodies whose geoms a ray hits, each once. begin, end: of the ray in the world [m], shape (3,)."""
+    """Yield other bodies whose geoms a ray hits, each once. begin, end: ends of the ray in the world [m], shape
+    (3,).
+    """
     length = float(np.linalg.norm(end - begin)) - END_M
     way, travelled, found = (end - begin) / np.linalg.norm(end - begin), 0.0, set()
     geom = np.zeros(1, np.int32)

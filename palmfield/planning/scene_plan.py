@@ -124,7 +124,8 @@ def plan(
 ) -> Plan:
     """Decide which effects to model, from the stimuli, surfaces and accuracy of a scene, without simulation.
 
-    scene: a path, an MjSpec, a compiled model or a Simulation; duration_s: of the run [s], default that of the scene;
+    scene: a path, an MjSpec, a compiled model or a Simulation; duration_s: duration of the run [s], default that of
+    the scene;
         for the other arguments see `palmfield.load`
     Raises SceneError as `palmfield.load` does, if a skin layer cannot be built, and for a duration that is not > 0.
     """
@@ -147,6 +148,6 @@ def plan(
 
 
 def warnings(scene: Source | Simulation, duration_s: float | None = None) -> list[str]:
-    """Return warnings before the run, in words; duration_s: of the run [s], default that of the scene."""
+    """Return warnings before the run, in words; duration_s: duration of the run [s], default that of the scene."""
     view = preview(scene)
     return advice(view if duration_s is None else replace(view, duration_s=duration_s))

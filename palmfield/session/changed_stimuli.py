@@ -16,7 +16,7 @@ LEAST_SPOT = 0.8
 def change_stimuli(sim: Simulation, texts: Mapping[str, Mapping[str, str]]) -> bool:
     """Change the keys of the stimuli of a running simulation if its skins allow it; return whether they do.
 
-    texts: of all keys of some stimuli, by instance and key
+    texts: texts of all keys of some stimuli, by instance and key
     Time, poses and the motion of skins are unchanged, and the new keys apply from the next step. Not allowed are a skin
     with a stepper for one load or with the full wedge model, a key that names parts of the scene, and a sound that
     needs a finer mesh; then the simulation is unchanged. The MuJoCo model keeps the old texts. Raises SceneError or

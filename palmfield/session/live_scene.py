@@ -19,7 +19,7 @@ from palmfield.simulation.posed_scene import PosedScene
 class LiveScene:
     """A copy of a scene with exactly one moving hand.
 
-    runtime: of the copy; hand: its joints; script: scripted motion of the hand; motion: name of its instance
+    runtime: runtime of the copy; hand: its joints; script: scripted motion of the hand; motion: name of its instance
     """
 
     def __init__(self, view: Preview) -> None:

@@ -19,7 +19,7 @@ class LoudestMoment:
     """The moment of a run with the highest ARP on a skin.
 
     time_s: MuJoCo time [s]; posed: pose at this time
-    drive: emission of all transducers relative to full drive, shape (N,); factor: of the ARP
+    drive: emission of all transducers relative to full drive, shape (N,); factor: factor of the ARP
     """
 
     time_s: float

@@ -17,7 +17,7 @@ MOVED = {("palmfield.array", "compute"): "palmfield_device"}
 class Migrated(NamedTuple):
     """The file of a scene with the names of this version.
 
-    text: of the file; changes: one sentence each
+    text: text of the file; changes: one sentence each
     others: included files with old names
     """
 

@@ -16,7 +16,7 @@ AT = re.compile(r"\bElement(?: name)? '(?P<name>[^']*)'(?:, id -?\d+)?(?:, line 
 def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence[str]) -> str:
     """Return one line: file and line if available, element, error, and allowed values.
 
-    message: of MuJoCo; scene: its name; text: its files, if it has any; plugins: names that palmfield registers
+    message: message of MuJoCo; scene: its name; text: its files, if it has any; plugins: names that palmfield registers
     """
     cause, name, line = _parts(message)
     element = None if text is None else _element(cause, name, line, text)

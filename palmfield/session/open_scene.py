@@ -158,7 +158,7 @@ def as_text(value: object) -> str:
 class Opened(NamedTuple):
     """A scene that is read but not compiled.
 
-    name: for messages; folder: to which its files are relative; text: its files, None for an MjSpec
+    name: name for messages; folder: folder to which its files are relative; text: its files, None for an MjSpec
     """
 
     name: str
@@ -229,7 +229,9 @@ def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
 
 
 def _check_sensor_places(data: mujoco.MjData, name: str, text: SceneText | None) -> None:
-    """Raise SceneError, with file and line, for sensors that are not on their skin; name, text: of the scene."""
+    """Raise SceneError, with file and line, for sensors that are not on their skin; name, text: name and text of the
+    scene.
+    """
     world = world_of(data)
     if world is None or world.scene is None:
         return
@@ -299,7 +301,7 @@ def _check_keys(plugin: mujoco.MjsPlugin, config: Mapping[str, str], scene: Open
 def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) -> mujoco.MjData:
     """Return data at time 0 with hands placed by their motions.
 
-    name, text: of the scene, for errors as in `compiled`
+    name, text: name and text of the scene, for errors as in `compiled`
     """
     try:
         data = mujoco.MjData(model)

@@ -16,7 +16,7 @@ SAME = 0.7
 class PhaseTurns:
     """Follows the leading eigenvector of the foci of a stimulus from record to record.
 
-    times: of the records at which it jumped [s]
+    times: times of the records at which it jumped [s]
     """
 
     def __init__(self) -> None:

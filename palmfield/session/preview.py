@@ -21,7 +21,8 @@ from palmfield.simulation.posed_scene import PosedScene
 class Preview:
     """A scene for plans, descriptions and players.
 
-    name: for messages; duration_s: of a run [s]; data: of MuJoCo, which must live as long as the runtime
+    name: name for messages; duration_s: duration of a run [s]; data: data of MuJoCo, which must live as long as the
+    runtime
     """
 
     name: str

@@ -54,7 +54,7 @@ class Sink(Protocol):
 class Emitted(NamedTuple):
     """Emission at some moments: one drive (N,) with factors of its ARP (m,), or a drive for each moment (m, N).
 
-    serial: of the single drive, 0 for many
+    serial: serial of the single drive, 0 for many
     """
 
     drives: Complex
@@ -66,10 +66,11 @@ class Recorded(NamedTuple):
     """One step whose data have not been written yet.
 
     times: ends of its substeps [s], shape (s,). posed: its pose. emitted: emission at `times`.
-    motions: of each skin after each substep: displacement [m] and velocity [m/s], shape (s, 2, 3 S), or their
+    motions: motions of each skin after each substep: displacement [m] and velocity [m/s], shape (s, 2, 3 S), or their
         coordinates, shape (s, 2, r), and the matrix (r, 3 S).
-    pressed: of each skin: numbers of force samples and mean ARP there [Pa], None in silence.
-    start_s: of the step, MuJoCo time. forces: on the parts of each body [N], and torques [N m], shape (2, b, 3)
+    pressed: numbers of the force samples of each skin and mean ARP there [Pa], None in silence.
+    start_s: start of the step, MuJoCo time. forces: forces on the parts of each body [N], and torques [N m], shape (2,
+    b, 3)
     bodies: poses of all MuJoCo bodies, shape (bodies, 7). sensors: values of each sensor
     """
 
@@ -111,7 +112,7 @@ def emitted_at_ends(emission: Emission, trace: StepTrace, step_s: float) -> Emit
 class Recorder:
     """Records the steps of a scene and writes their data.
 
-    loudest: by skin, the moment of the highest ARP so far, None without sound
+    loudest: loudest moment by skin, the moment of the highest ARP so far, None without sound
     peak_drive: largest commanded amplitude of each transducer so far, relative to full drive, shape (N,)
     begun_s, end_s: MuJoCo time at the start, and at the end if it is known before the start [s]
     turns: for each stimulus, the times at which the phases between its foci jumped
@@ -375,7 +376,7 @@ class Recorder:
 
 
 def _motion(parts: Sequence[tuple[Float | Float32, Float | None]]) -> Float32:
-    """Return the motion of a skin after the substeps of some steps, shape (2, t, S, 3); parts: as of Recorded."""
+    """Return the motion of a skin after the substeps of some steps, shape (2, t, S, 3); parts: as in Recorded."""
     numbers, matrix = np.concatenate([values for values, _ in parts]).swapaxes(0, 1), parts[0][1]
     times, count = numbers.shape[1], numbers.shape[2] if matrix is None else matrix.shape[1]
     result = np.empty((2, times, count), np.float32)

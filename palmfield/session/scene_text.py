@@ -77,7 +77,7 @@ class Instance(NamedTuple):
 class SceneText(NamedTuple):
     """All elements of the files of a scene; elements of included files are at the place of inclusion.
 
-    file: of the scene, as the user wrote it
+    file: file of the scene, as the user wrote it
     """
 
     file: Path

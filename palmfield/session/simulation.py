@@ -37,9 +37,10 @@ class Simulation:
     With `worlds`, several copies of the scene are stepped together; results then have a leading axis for the worlds:
     sim = palmfield.Simulation("scene.xml", worlds=2, keys={"stimulus.focus_m": [(0, 0, 0.19), (0, 0.01, 0.19)]})
 
-    model, data: of MuJoCo, for callers of mj_step (then `palmfield.raise_errors(data)` raises errors of plugins);
+    model, data: MuJoCo model and data, for callers of mj_step (then `palmfield.raise_errors(data)` raises errors of
+    plugins);
         with several worlds the data of each, to set controls or forces; only `step` may step them
-    name: of the scene, for messages; path: its file, or None; worlds: number of worlds, None without this axis
+    name: name of the scene, for messages; path: its file, or None; worlds: number of worlds, None without this axis
     duration_s: default duration of `palmfield.run` [s]
     """
 
@@ -58,7 +59,8 @@ class Simulation:
 
         worlds: number of worlds, which are stepped together; the value of a key of a stimulus may then have an
             additional first axis of this length, with a value for each world
-        poses: by name of a mocap body, position [m] and quaternion (w, x, y, z) in each MuJoCo step, shape (worlds,
+        poses: poses by name of a mocap body, position [m] and quaternion (w, x, y, z) in each MuJoCo step, shape
+        (worlds,
             steps, 7); constant after the last step
         """
         options: Options = {"device": device, "accuracy": accuracy, "board": board, "keys": keys}

@@ -44,9 +44,9 @@ def exported(
 ) -> Exported:
     """Sample foci and levels of a stimulus as a table; each sample applies until the next.
 
-    stimulus: instance, needed if there are several; rate_Hz: of the samples, default that of its steps (its table,
-        points of its path, control ticks), else USUAL_RATE_HZ; quantity: of the intensities, default that of its table,
-        else ARP; frame: array, or skin for the frame of its site; duration_s: default that of the scene
+    stimulus: instance, needed if there are several; rate_Hz: rate of the samples, default that of its steps (its table,
+        points of its path, control ticks), else USUAL_RATE_HZ; quantity: quantity of the intensities, default that of
+        its table, else ARP; frame: array, or skin for the frame of its site; duration_s: default that of the scene
     A table that a scene plays unchanged is exported unchanged, with its straight lines.
     Raises SceneError for an invalid scene, an unknown stimulus or frame, and a rate or duration out of range.
     """

@@ -30,7 +30,7 @@ SHARED = {
 @dataclass(frozen=True)
 class WorldKeys:
     """Keys of a simulation. common: keys of the model; for keys that differ the values of the first world
-    differing: by instance and key, a value for each world"""
+    differing: changed values by instance and key, a value for each world"""
 
     common: dict[str, object]
     differing: dict[str, dict[str, tuple[object, ...]]]
@@ -93,7 +93,7 @@ def world_specs(
 def with_texts(stimulus: StimulusSpec, texts: Mapping[str, str], element: str) -> StimulusSpec:
     """Return a stimulus with changed keys, except BOUND ones.
 
-    texts: of all its keys; element: its name in messages. Raises SceneError for an invalid value of a key.
+    texts: texts of all its keys; element: its name in messages. Raises SceneError for an invalid value of a key.
     """
     config: Any = with_files_found(parse(StimulusConfig, dict(texts), element), element)
     table, foci = stimulus.am_table, stimulus.focus_table

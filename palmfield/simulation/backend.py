@@ -130,7 +130,8 @@ class Backend(ABC):
     def push(self, forces: Sequence[Float]) -> None:
         """Write the forces on each body into the rows of the joined worlds.
 
-        forces: by body, mean force over the step [N] and torque about the origins of its parts [N m], world axes,
+        forces: forces by body, mean force over the step [N] and torque about the origins of its parts [N m], world
+        axes,
             shape (worlds, 2, b, 3)
         """
 

@@ -240,7 +240,7 @@ def stimuli_of(
 ) -> tuple[StimulusModel, ...]:
     """Return the stimuli. Ring-up is modelled for all transducers of a scene or for none: they share one state.
 
-    carriers: the body of each skin; responses: of other worlds of the scene; new ones are added
+    carriers: the body of each skin; responses: responses of other worlds of the scene; new ones are added
     """
     responses, stimuli = {} if responses is None else responses, []
     for stimulus in spec.stimuli:
@@ -430,7 +430,8 @@ def fine_region(
 ) -> tuple[tuple[float, float, float], float]:
     """Return middle (from the middle of the layer) and radius of the region where elements are fine [m].
 
-    beside: from the middle of the layer to that of the foci, shape (3,); reach_m: of the foci from there; region_m: key
+    beside: from the middle of the layer to that of the foci, shape (3,); reach_m: reach of the foci from there;
+    region_m: key
         focus_region_m, least radius; spot_m: width of the spot; the radius is smaller by RIM times it. If the foci
         leave this region about the middle of the layer, the middle of the region is the nearest point of a grid with
         this spacing, so that foci near each other share a region.

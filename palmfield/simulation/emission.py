@@ -62,10 +62,10 @@ SILENCE = MeanDrives(np.zeros((0, 0), np.complex128), np.zeros((0, 0), np.comple
 class PathStep(NamedTuple):
     """A focus that moves during a MuJoCo step. moments: moments of the step
 
-    foci: of each of d groups of transducers at each moment, then at the beginning of the step, frame of the first
+    foci: foci of each of d groups of transducers at each moment, then at the beginning of the step, frame of the first
         array [m], shape (m d + 1, 3); group: group of each transducer, shape (n,), None for one group
     levels: pressure at the foci relative to the loudest moment, 0..1, shape (m d,); now: the same at the beginning
-    mean: mean ARP over the step relative to the loudest moment; weights: of the moments in the mean emission of
+    mean: mean ARP over the step relative to the loudest moment; weights: weights of the moments in the mean emission of
         transducers that ring, shape (m,)
     """
 
@@ -356,7 +356,7 @@ def of_one(unit: Complex, weight: float, serial: int) -> MeanDrives:
 
 
 def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
-    """Return the mean ARP over a course, by the fewest drives that span its moments; weights: of moments, (m,).
+    """Return the mean ARP over a course, by the fewest drives that span its moments; weights: weights of moments, (m,).
 
     Moments are computed separately, because the lit points of each moment depend on its own energy flux.
     """

@@ -416,7 +416,7 @@ class HostBackend(Backend):
     def _outside(
         self, skin: int, stepper: SkinStepper, worlds: Rows, keys: Serials, loads: SurfaceLoads
     ) -> list[Outside]:
-        """Return the part of the loads on a skin outside the class of its modes; keys: as of StepTrace, (w, 2)."""
+        """Return the part of the loads on a skin outside the class of its modes; keys: as in StepTrace, (w, 2)."""
         if not loads.fixed or not self._several:
             return [stepper.outside(loads)]
         squares = np.add.reduce(stepper.mixed(loads) ** 2, axis=(1, 2))

@@ -75,7 +75,7 @@ class StimulusModel:
 class BodyModel:
     """A body that carries skin: its surface and the bones that move it, in the frame of the body.
 
-    name: of the MuJoCo body. surface: the whole closed surface, None for a disc, whose lit face is the skin.
+    name: name of the MuJoCo body. surface: the whole closed surface, None for a disc, whose lit face is the skin.
     hand: the surface with its bones, None for a body in one piece.
     depth_to_bone_m: depth by vertex of the surface, shape (v,), or one depth for all.
     """
@@ -310,7 +310,7 @@ class SkinModel:
 class HapticModel:
     """All data of a scene that are constant in a run.
 
-    arrays: in their relative pose of the reference configuration. board: the one that plays the drive.
+    arrays: arrays in their relative pose of the reference configuration. board: the one that plays the drive.
     begin: the first stepper of each skin. whole: the stepper of its whole layer.
     marks: numbers that identify states, see `palmfield.simulation.state`; filled at first use.
     """

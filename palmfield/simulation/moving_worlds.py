@@ -40,8 +40,8 @@ AHEAD = 32
 class _Ahead(NamedTuple):
     """Motion and level of stimuli in coming steps, by kind. starts: start times of the steps [s], shape (s,).
 
-    foci: at the moments and at the beginning, in the frame of the stimulus [m], shape (kinds, s, m + 1, 3).
-    levels: of the pressure at the same times, shape (kinds, s, m + 1). means: mean ARP of each step, (kinds, s).
+    foci: foci at the moments and at the beginning, in the frame of the stimulus [m], shape (kinds, s, m + 1, 3).
+    levels: levels of the pressure at the same times, shape (kinds, s, m + 1). means: mean ARP of each step, (kinds, s).
     """
 
     starts: list[float]

@@ -18,7 +18,7 @@ class PathSound:
     """Computes ARP on the skins of a model and on their bodies. It belongs to one state and to one thread at a time.
 
     off: number of consecutive courses off the path
-    reference: as `reference_scene`: the fields are valid only in this pose
+    reference: as returned by `reference_scene`: the fields are valid only in this pose
     """
 
     def __init__(

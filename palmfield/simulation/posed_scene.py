@@ -31,7 +31,7 @@ class PoseLayout:
     """Order of the rows in the list of all world frames on which the sound and the skins of a scene depend.
 
     Rows are the arrays, the frames of the stimuli, the transducers that are sites, each body with its bones, and the
-    obstacles of each skin. transducers: one slice per array; bodies: row and bones; obstacles: by skin.
+    obstacles of each skin. transducers: one slice per array; bodies: row and bones; obstacles: obstacles by skin.
     movable: whether transducers may move relative to each other: several arrays, or transducers that are sites.
     """
 
@@ -59,7 +59,7 @@ class PosedSurface:
     model: the body at rest. skin: the first skin on it. frame: frame of the body in that of the first array.
     bone_positions, bone_rotations: in the frame of the body, shapes (b, 3) and (b, 3, 3); empty for a body in one
     piece.
-    serial: unique number. numbers: of the pose, as bytes: only if they are equal, a stored field may be reused.
+    serial: unique number. numbers: numbers of the pose, as bytes: only if they are equal, a stored field may be reused.
     """
 
     def __init__(self, model: BodyModel, skin: SkinModel, frame: Transform, bones: tuple[Float, Float]):
@@ -136,7 +136,7 @@ class PosedSkin:
     """One skin layer in one pose; positions are in the array frame.
 
     obstacle_positions, obstacle_rotations: of the obstacles other than bodies with skins, in the frame of the body
-    numbers: of their poses, as bytes
+    numbers: numbers of their poses, as bytes
     """
 
     def __init__(self, skin: SkinModel, body: PosedSurface, obstacles: tuple[Float, Float]):

@@ -133,7 +133,7 @@ class Radiation:
     def force(self, posed: PosedScene, body: int, arp: Float | Float32) -> Float:
         """Return forces [N] on the parts of a body and torques about their origins [N m], world axes, shape (2, b, 3).
 
-        arp: at the samples of the body [Pa], shape (n,)
+        arp: ARP at the samples of the body [Pa], shape (n,)
         """
         surface = posed.bodies[body]
         key = posed.arrays.serial, surface.serial

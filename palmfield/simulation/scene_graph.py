@@ -39,8 +39,9 @@ NO_LOADS = SurfaceLoads(np.zeros(0), ONE, ONE)
 
 
 class Sounding(NamedTuple):
-    """Sums of drives. units: drives, shape (k, N); levels: of each sum, shape (m, k), None if each drive is one sum;
-    serial: equal for equal sums; weights: of the sums in a mean, shape (m,)"""
+    """Sums of drives. units: drives, shape (k, N); levels: levels of each sum, shape (m, k), None if each drive is one
+    sum;
+    serial: equal for equal sums; weights: weights of the sums in a mean, shape (m,)"""
 
     units: Complex
     levels: Complex | None

@@ -35,7 +35,7 @@ RUN = 16
 class MotionRows(NamedTuple):
     """The owners of the motions. Motions of bodies come first; sound pushes these.
 
-    bodies: by body, its bones or itself. obstacles: by skin. total: number of motions.
+    bodies: by body, its bones or itself. obstacles: obstacles by skin. total: number of motions.
     frames: row of each frame in a PoseLayout. rest: origin of each in the resting body [m], shape (total, 3).
     """
 
@@ -107,7 +107,7 @@ def _carriers(bound: _Bound, device: str) -> Any:
 class ScenePoints:
     """All points of a scene on a device: of the load of the skins, the sensors, and the force on bodies, in this order.
 
-    points, normals: vec3. areas: of the force samples [m2], float64.
+    points, normals: vec3. areas: areas of the force samples [m2], float64.
     quadrature: the range of each skin. samples: for each body its number and the range of its force samples.
     orders: for bodies with sorted samples, the number of each sample in the order of the body.
     loaded, probed, sampled: all points of one kind. count: number of all points.

@@ -74,7 +74,8 @@ class SceneBinding:
     """MuJoCo numbers of the objects that a SceneSpec names, in the same order.
 
     array_instances: plugin instances. array_sites: the frame of each array.
-    transducer_sites: of each array, empty except for layout `sites`. frame_sites: the frame of each stimulus.
+    transducer_sites: transducer sites of each array, empty except for layout `sites`. frame_sites: the frame of each
+    stimulus.
     """
 
     array_instances: tuple[int, ...]

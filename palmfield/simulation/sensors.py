@@ -23,7 +23,7 @@ REACH_M, OFF_SKIN_M = 0.01, 0.005
 class SkinReading(NamedTuple):
     """Readings at the place of a sensor at the beginning of a MuJoCo step.
 
-    arp_force_x_N, _y_N, _z_N: of the sound on the whole body, mean over the step that begins, world axes
+    arp_force_x_N, _y_N, _z_N: force of the sound on the whole body, mean over the step that begins, world axes
     normal_displacement_m, normal_velocity_m_s: of the skin along its outward normal; arp_Pa: positive inwards
     """
 

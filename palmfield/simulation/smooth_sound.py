@@ -33,7 +33,7 @@ class SmoothSound:
     """Levels of the worlds' unit drives. Belongs to one state.
 
     joined: numbers of the worlds whose sound one level determines in the present step, ascending, shape (g,)
-    serials: of the unit drives of all worlds; now: their present emitted levels, complex, shapes (worlds,)
+    serials: serials of the unit drives of all worlds; now: their present emitted levels, complex, shapes (worlds,)
     """
 
     def __init__(

@@ -57,7 +57,8 @@ class ArraySpec(Named):
 class StimulusSpec(Named):
     """One stimulus.
 
-    arrays: numbers of the arrays that it drives, ascending. frame: of its focus and path, in that of the first array.
+    arrays: numbers of the arrays that it drives, ascending. frame: frame of its focus and path, in that of the first
+    array.
     on_skin: number of the skin on which its path runs, None for a path in space.
     path_sites: sites along the path, in the frame of the body of that skin [m].
     frame_moves: whether that frame, or the skin under the path, can move relative to the arrays.
@@ -77,8 +78,8 @@ class StimulusSpec(Named):
 
 @dataclass(frozen=True)
 class ObstacleSpec:
-    """An obstacle of a skin besides its own body. placement: of the body of the obstacle, seen from that of the
-    skin.
+    """An obstacle of a skin besides its own body. placement: placement of the body of the obstacle, seen from that of
+    the skin.
     """
 
     shape: "Obstacle"
@@ -111,7 +112,8 @@ class SkinSpec(Named):
 class SceneSpec:
     """The whole scene. Equal specs share a model.
 
-    device: where fields are computed, "cpu" or "cuda:N"; timestep_s: of MuJoCo [s]; duration_s: of a run [s]
+    device: where fields are computed, "cpu" or "cuda:N"; timestep_s: timestep of MuJoCo [s]; duration_s: duration of a
+    run [s]
     """
 
     arrays: tuple[ArraySpec, ...]

@@ -57,8 +57,9 @@ def backends_of(
 class Steps:
     """The steps of the worlds of a state, in sequence. Belongs to one state and is used by one thread at a time.
 
-    models, works: one for each world. state: of all worlds. host: steps the worlds that no other backend steps.
-    forces: by body, mean force on its parts over the current step [N], and torques about their origins [N m], world
+    models, works: one for each world. state: state of all worlds. host: steps the worlds that no other backend steps.
+    forces: forces by body, mean force on its parts over the current step [N], and torques about their origins [N m],
+    world
         axes, shape (worlds, 2, b, 3).
     inputs: parts of the state from which `begin` computed the present step. If they change, the step is invalid.
     """

@@ -49,7 +49,7 @@ class Carried(NamedTuple):
 
 
 class Block(NamedTuple):
-    """N steps. starts: of each, and the end of the last [s], N + 1 numbers
+    """N steps. starts: starts of each, and the end of the last [s], N + 1 numbers
 
     emitted: emission at `starts`, (N + 1, n). course: emission at all moments, with one drive or one for each moment.
     forces: on each body in each step, (N, 2, b, 3); read: ARP (N,) and motion (N, 2) at sensors, by skin and place

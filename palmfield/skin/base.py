@@ -37,7 +37,7 @@ class Foundation:
     """Sheets below a meshed layer, the first right below it, without a mesh of their own
     (palmfield.skin.fem.foundation).
 
-    base: below the lowest sheet; degree: of the polynomial in depth of each sheet, 1 or more
+    base: below the lowest sheet; degree: degree of the polynomial in depth of each sheet, 1 or more
     frequencies_Hz, misfit: where it was fitted [Hz], and the relative error there, see fit_foundation; both (f,)
     Raises SceneError for another base or degree.
     """

@@ -101,7 +101,8 @@ def scene_choices(
 ) -> list[Choice]:
     """Return the solvers that can step the layer of a scene, the cheapest first.
 
-    dofs: unknowns of the layer. substeps: of the whole run. vectors: of a reduced model for its load, about.
+    dofs: unknowns of the layer. substeps: substeps of the whole run. vectors: vectors of a reduced model for its load,
+    about.
     refusal: why a reduced model is impossible, or None. modes, modal_refusal: the same for general modes.
     laws: number of relaxation laws of the layer.
     cached: whether modes are reused in RUNS runs. None: if there is a cache.

@@ -33,7 +33,8 @@ class LayerSolver(Protocol):
     any_pose, of_class, exact_in_time, factorises: as in its stepper (SkinStepper), available without loading it.
     own_mesh: whether it has another mesh than the wedges, so that its stepper needs only the layer.
     large_strain: whether it is valid beyond linear elasticity. preview: whether it is a preview.
-    unknowns: of its mesh. state_size: numbers of its state, an upper bound. resolution: in words.
+    unknowns: unknowns of its mesh. state_size: numbers of its state, an upper bound. resolution: text about its
+    resolution.
     expected_error: relative, of the displacement, before any run, or None.
     steps, sizes_follow: its time steps, and the basis of its sizes, in words.
     """

@@ -59,7 +59,7 @@ class OwnMesh(ExplicitLayer, Protocol):
         ...
 
     def made(self, transfer: FaceTransfer, device: str) -> "OwnMeshStepper":
-        """Make the `stepper`; transfer: from and to the wedges of the scene."""
+        """Make the `stepper`; transfer: transfer from and to the wedges of the scene."""
         ...
 
     def error(self, device: str) -> float:
@@ -129,7 +129,8 @@ class OwnMesh(ExplicitLayer, Protocol):
     def trial(self, body: Body, points: Float, areas_m2: Float) -> tuple[Load, Float, Float]:
         """Return the load for the error estimate of a solver, its output times, and two points of the face.
 
-        points, areas_m2: of the face [m], (f, 3) and (f,), for a face on which x and y do not define a spot
+        points, areas_m2: points of the face and their areas [m], (f, 3) and (f,), for a face on which x and y do not
+        define a spot
         """
         f_Hz, middle = self.layer.demand.main_frequency_Hz, self._middle()
         spot = self._spot(self.trial_s() * f_Hz, f_Hz)
@@ -171,8 +172,9 @@ class OwnMesh(ExplicitLayer, Protocol):
 class OwnMeshStepper(SkinStepper, Protocol):
     """Step a layer on its own mesh, in steps of a scheme that divide a substep; see SkinStepper.
 
-    own: the layer. transfer: from and to the wedges of the scene. device: of `palmfield.device.resolve`.
-    steps: of the scheme in each substep.
+    own: the layer. transfer: transfer from and to the wedges of the scene. device: as returned by
+    `palmfield.device.resolve`.
+    steps: steps of the scheme in each substep.
     """
 
     points: Int | None = None

@@ -240,7 +240,7 @@ class SkinProblem:
     """Input of a solver: the motion of a body from rest under a load, at some times and points, to an accuracy.
 
     times: requested times [s], rising, shape (t,). at: points of the face [m], shape (n, 2) or (n, 3).
-    accuracy: target relative error of accuracy_of, L2 over the times at a point, the largest of the points.
+    accuracy: target relative error of accuracy_of, L2 over the times at a point, at the worst point.
     accuracy_of: one of QUANTITIES. device: "auto", "cpu" or "cuda:N", for solvers that run on a GPU as well.
     Raises SceneError for times that do not rise, other shapes, numbers that are not finite, and another quantity.
     """
@@ -286,7 +286,7 @@ class SkinProblem:
     ) -> Motion:
         """Make the Motion from the result of a solver, shape (t, n, 3).
 
-        errors: of the QUANTITIES, (3,); source, solver: in words; begun: time.perf_counter() as it began
+        errors: errors of the QUANTITIES, (3,); source, solver: texts; begun: time.perf_counter() as it began
         points: positions, if other than `points` [m], shape (n, 3)
         """
         return Motion(

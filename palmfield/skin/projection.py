@@ -15,7 +15,7 @@ from palmfield.types import Complex, Float
 class Projection:
     """A body in a basis V of r vectors.
 
-    matrices: V^T M V, V^T C V, V^T E V and V^T K_p V, symmetric, (r, r); materials: of the parts
+    matrices: V^T M V, V^T C V, V^T E V and V^T K_p V, symmetric, (r, r); materials: materials of the parts
     force: V^T B, shape (r, j); read: Y V, shape (k, r)
     """
 

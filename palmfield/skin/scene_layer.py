@@ -45,8 +45,8 @@ class LayerSizes:
     """Sizes of the elements and steps of a layer.
 
     edge_fine_m, edge_coarse_m: element edges within fine_radius_m of the middle of the focus and at the rim [m].
-    depth_fractions: of the rows of elements, 0 at the surface, 1 at the base, shape (L+1,).
-    step_s: substep [s], an integer part of the MuJoCo step. radius_m: of the layer [m].
+    depth_fractions: depth fractions of the rows of elements, 0 at the surface, 1 at the base, shape (L+1,).
+    step_s: substep [s], an integer part of the MuJoCo step. radius_m: radius of the layer [m].
     """
 
     edge_fine_m: float
@@ -62,11 +62,12 @@ class LayerDemand:
     """Demands of the sound and the scene on a layer.
 
     spot_fwhm_m: full width at half maximum of the pressure spot [m].
-    max_frequency_Hz: highest frequency that mesh and step must resolve. main_frequency_Hz: of most of the response.
+    max_frequency_Hz: highest frequency that mesh and step must resolve. main_frequency_Hz: main frequency of most of
+    the response.
     path_reach_m: radius of the region of foci, and reach of the path, by which a patch grows [m].
-    timestep_s: of MuJoCo [s]. longest_step_s: upper limit of the substep [s].
+    timestep_s: timestep of MuJoCo [s]. longest_step_s: upper limit of the substep [s].
     corner_Hz: frequency above which the spectrum of the load falls, about; infinite if unknown.
-    offset_m: from the centre of the layer to the middle of that region, body frame [m]; 0 if the skin moves.
+    offset_m: offset from the centre of the layer to the middle of that region, body frame [m]; 0 if the skin moves.
     """
 
     spot_fwhm_m: float
@@ -91,7 +92,8 @@ def layer_sizes(
 ) -> LayerSizes:
     """Return the sizes of the layer of a scene for its target accuracy; see LayerDemand.
 
-    sheets: of the layer, thicknesses as shares. resizing: factor of all element sizes. rows: of elements in depth, by
+    sheets: sheets of the layer, thicknesses as shares. resizing: factor of all element sizes. rows: rows of elements
+    in depth, by
         default the number for these sizes.
     Raises SceneError for a step_s that doesn't divide the timestep, and for a timestep that is not finite.
     """

@@ -51,7 +51,8 @@ class Reader:
 class Outside(NamedTuple):
     """Squares of the part of a load outside its class, and of the whole load, summed over substeps.
 
-    energy, energy_of_all: in the energy norm of the skin. plain, plain_of_all: of the pressures at the points [Pa^2].
+    energy, energy_of_all: squared energy norms on the skin. plain, plain_of_all: sums of squares of the pressures at
+    the points [Pa^2].
     """
 
     energy: float
@@ -65,7 +66,7 @@ class StepMemory(NamedTuple):
 
     counts: drives and patterns, int32, shape (w, 2); pressure: patterns at all quadrature points of the layer [Pa],
         float32, shape (w m, q), or, if `chosen`, at those of the stepper.
-    weights: of each pattern, float64, shape (w, `DeviceModel.weight_rows`, m).
+    weights: weights of each pattern, float64, shape (w, `DeviceModel.weight_rows`, m).
     before, after: the state, float64, shape (w, n). squares: float64, shape (w, SECTIONS, s, `kernels.LANES`).
     """
 
@@ -97,7 +98,7 @@ class SkinStepper(Protocol):
     here, not the names of subclasses; the defaults are those of a solver that takes any load anywhere.
 
     name: the solver. step_s: length of a substep [s]. state_size: numbers of a state, all 0 at rest.
-    unknowns: of the mesh that it moves.
+    unknowns: unknowns of the mesh that it moves.
     points: numbers of the quadrature points of the layer at which it takes pressure, shape (p,), None for all of them.
     error: relative error of the displacement that the stepper itself adds, by its own estimate; 0 where it adds none.
         With its own mesh it includes that of the mesh, and the estimate may take as long as a short run.
@@ -157,7 +158,9 @@ class SkinStepper(Protocol):
         return self.name
 
     def device_model(self, substeps: int, points: int, device: str) -> "DeviceModel | None":
-        """The stepper on a device; None if it stays on the CPU. substeps: of a step; points: quadrature points."""
+        """The stepper on a device; None if it stays on the CPU. substeps: substeps of a step; points: quadrature
+        points.
+        """
         return None
 
     def device_worlds(self, most: int, device: str) -> "DeviceStep | None":
@@ -196,7 +199,7 @@ class SkinStepper(Protocol):
 class DeviceModel(Protocol):
     """The numbers of a stepper on a device, for steps with this number of substeps.
 
-    stepper: owner of the state; weight_rows: of `weights`
+    stepper: owner of the state; weight_rows: rows of `weights`
     """
 
     @property

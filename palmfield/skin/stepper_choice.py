@@ -10,7 +10,7 @@ from palmfield.skin.explicit_layer import LayerSolver, solver_class
 class StepperChoice(NamedTuple):
     """The stepper with which a skin begins.
 
-    name: of the solver; why: in words
+    name: name of the solver; why: reason in words
     seconds, wedges_s: predicted of making and stepping it, and the whole layer
     """
 
@@ -38,8 +38,8 @@ class LayerWork(NamedTuple):
 
 
 def chosen(requested: str, work: LayerWork, reason: str) -> StepperChoice:
-    """The stepper on the wedges of a scene; requested: of key `solver`; asked: reason, in words, if the key names a
-    solver.
+    """The stepper on the wedges of a scene; requested: value of key `solver`; asked: reason, in words, if the key
+    names a solver.
 
     Raises SceneError where a reduced model or modes are requested but impossible.
     """

@@ -17,7 +17,7 @@ NO_OFFSETS: Float = np.zeros((0, 3))
 class SurfaceCourse(NamedTuple):
     """A path along a surface in its present pose.
 
-    vertices: of the surface [m], shape (v, 3), in the frame of the body; faces: shape (f, 3)
+    vertices: vertices of the surface [m], shape (v, 3), in the frame of the body; faces: shape (f, 3)
     body: body frame relative to the first array
     """
 

@@ -37,7 +37,7 @@ class Modulation(NamedTuple):
     """AM of a stimulus, as numbers, or columns of shape (n, 1) for n stimuli with one quantity and waveform.
 
     quantity: duty, amplitude or arp; depth: m; power: exponent of the ARP as a function of the quantity, 0 for duty
-    peak_duty: for duty, the duty at the loudest moment; exponent: for duty, g
+    peak_duty: duty at the loudest moment, for quantity duty; exponent: its exponent g
     """
 
     quantity: str

@@ -470,11 +470,11 @@ class _Timing:
     control_rate, point_rate: rates of ticks that hold focus and level, and only the focus [1/s]; 0 for none
     grids: (rate, time of the first tick) of held values
     path: shape in the plane, None for a point and for sites; on_skin: whether it is drawn on the surface
-    length_m, turn_rate: of the path, 0 for a point; radius_m: radius of a circle
+    length_m, turn_rate: length and turn rate of the path, 0 for a point; radius_m: radius of a circle
     runs: continuation of the arc: once, round (again from the start), or back and forth
     jump_rate: jumps of an open path to its start per second, 0 for none; smooth: whether there are jumps only at the
         edges; steady: whether the level is 1 from the end of the ramp to the first end
-    table: foci over time; duty_exponent: of the device
+    table: foci over time; duty_exponent: duty exponent of the device
     """
 
     focus: Float

@@ -24,7 +24,7 @@ class Waveform(NamedTuple):
 
     name: value of key am_waveform; table: table from a file
     highest: largest value; duty: share of the period in which a rectangle is high or a Hann pulse lasts
-    burst_length_s, burst_period_s: of bursts; 1 otherwise
+    burst_length_s, burst_period_s: length and period of bursts, 1 for other waveforms
     burst_phase: phase of the sine at the beginning of a burst [rad]
     """
 

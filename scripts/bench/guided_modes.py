@@ -240,7 +240,7 @@ mm apart and is displaced by 1 mm. Seeds were drawn after the code was finished.
 - Wide: scans that are wide and fine enough for their strongest wave. Layers without a travelling wave are omitted.
 - Wrong: the resolved wavenumber is more than 3 % from each wave of the layer. Or it belongs to a weaker wave, although
   the strongest wave carries more than 1.25 times as much.
-- Others: more waves that were resolved.
+- Others: further waves that were resolved.
 - Noise: wide scans whose noise prevents an answer (Cramer-Rao bound of the wavenumber above 1.3 %).
 - Not resolved: share of the wide scans without such noise.
 

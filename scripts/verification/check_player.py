@@ -32,7 +32,8 @@ that were due while the virtual machine was paused.
 
 *Line* is the delay of the last byte of a packet. *Hand-over* is the delay until the system had the packet. *Lost*
 packets were handed over but not received. AUTD packets fill 78 % of their line, so a delay lasts four times its
-length. SonicSurface frames fill their line completely, so a delay stays."""
+length. SonicSurface frames fill their line completely, so a delay does not decrease
+again."""
 
 
 def ms(late: Late) -> str:

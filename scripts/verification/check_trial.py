@@ -35,12 +35,12 @@ SONIC = {"board": "sonicsurface", "keys": STILL}
 AUTD = {"board": "autd2018", "keys": {}}
 GOAL_MS = 29.0
 ABOUT = """For everyone who tracks hands. Scene `follow_fingertip`: a fingertip draws half a circle of 60 mm in half a
-second. The tracker gives 90 samples a second, 10 ms late unless stated. Age and errors are mean, 95th percentile and
-largest. The pressure kept is the mean, and the smallest in brackets ([trials](../trials.md)). SonicSurface has no
-modulation, AUTD has AM of 200 Hz. Rows without "real time" use the twin of the board, which takes no time. The
-simulated board (`palmfield calibrate rehearse`) has half of its transducers reversed and five silent; phases
-differ by 10 degrees, gains by 8 %, and its position by 2.5 mm. [trials.csv](data/trials.csv) has all rows and the
-parts of board and calibration."""
+second. The tracker gives 90 samples a second, 10 ms late unless stated. Age and errors have the mean, the 95th
+percentile and the largest value. The pressure kept has the mean, with the smallest value in brackets
+([trials](../trials.md)). SonicSurface has no modulation, AUTD has AM of 200 Hz. Rows without "real time" use the twin
+of the board, which takes no time. The simulated board (`palmfield calibrate rehearse`) has half of its transducers
+reversed and five silent; phases differ by 10 degrees, gains by 8 %, and its position by 2.5 mm.
+[trials.csv](data/trials.csv) has all rows and the parts of board and calibration."""
 HEAD = (
     "| board | how | age [ms] | lateral [mm] | depth [mm] | kept by latency | by the board | by calibration | in all | "
     "dropped |\n|---|---|---|---|---|---|---|---|---|---|"

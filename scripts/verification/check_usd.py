@@ -265,8 +265,8 @@ def page(rows: list[Row], large: list[str], options: argparse.Namespace, command
 
 For developers. Written by `{command}`, commit {options.commit or git_commit()}, {processor()}. Each scene
 was run for {1e3 * options.duration:g} ms at accuracy {options.accuracy:g}. Its `scene.usdc` has all quantities,
-coloured by normal displacement, and magnified points if they take 8 MB or less. The values are read from the files.
-{kept} has each scene.
+and magnified points if they take 8 MB or less. Skins are coloured by normal displacement. The values are read from the
+files. {kept} has each scene.
 
 | check of {len(rows)} scenes | largest value |
 |---|---|
@@ -276,7 +276,7 @@ coloured by normal displacement, and magnified points if they take 8 MB or less.
 | time code / timeCodesPerSecond compared with the time of the run | {max(r.code_s for r in rows):.0e} s |
 | transducers compared with MuJoCo's sites | {max(r.transducer_m for r in rows):.0e} m |
 | error of any quantity of the skin / stated bound | {max(r.skin_share for r in rows):.3f} |
-| legends whose ends differ from the palettes | {sum(not r.legend for r in rows)} |
+| legends with other end values than the palettes | {sum(not r.legend for r in rows)} |
 | file size | {max(r.bytes for r in rows) / 1e6:.2f} MB |
 | time to write (shared machine) | {max(r.write_s for r in rows):.1f} s |
 
@@ -288,7 +288,8 @@ Silent scenes, whose force and skin are not tested: {silent or "none"}. Quantiti
 
 ## 5,041 vertices, 500 frames
 
-The scene has ARP and normal displacement of a focus on a circle of 30 mm, each within 1/255 of its range.
+The scene has ARP and normal displacement under a focus on a circle of 30 mm. Rounding changes each by at most 1/255 of
+its range.
 
 | colour | file size [MB] | time to write [s] |
 |---|---|---|

@@ -163,7 +163,7 @@ def goals(rows: list[Verdict], peers: dict[str, int]) -> list[str]:
         ("refused before the run, in the family with most refusals", "<= 33 %", f"{100 * worst:.0f} %"),
         ("refused during the run", "none", str(late)),
         ("references by scikit-fem", ">= 30", str(sum(peers.values()))),
-        ("references by scikit-fem in the family with fewest", ">= 2", str(min(peers.values()))),
+        ("references by scikit-fem in the family with the fewest", ">= 2", str(min(peers.values()))),
     ]
     return ["| solver `auto` | goal | result |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in cells)]
 
@@ -204,7 +204,8 @@ def write_report(
         + "[coverage](coverage/) has all cases.",
         "",
         "**Cases.** Bodies, materials and loads are random, in ten families. Spots are 1 to 300 mm wide. Discs have "
-        "1.2 to 2.5 widths of the spot (over the rim: 0.3 to 1.2), boxes and layers 2.5 to 4 widths. Depths are 1 to "
+        "radii of 1.2 to 2.5 widths of the spot (over the rim: 0.3 to 1.2), boxes and layers 2.5 to 4 widths. Depths "
+        "are 1 to "
         "20 "
         f"mm (family depths: 1 to 50 mm), and target accuracies {100 * ROUND[0]:g} to {100 * ROUND[1]:g} % (boxes, "
         f"layers and scenes: from {100 * OTHER[0]:g} %). A case lasts {CROSSINGS[0]:g} to {CROSSINGS[1]:g} times as "

@@ -123,7 +123,8 @@ def main() -> int:
         "hypothesis draws the inputs (`scripts/verification/fuzz_cases.py`): forbidden values and combinations of "
         "keys, and small scenes and meshes of a ball with a known fault or random changes. Nothing is simulated. A "
         "randomly changed "
-        f'input may still be valid. "Bad" are tracebacks, crashes, more than {LONGEST_S:g} s, forbidden inputs that '
+        f"input may still be valid. These outcomes count as bad: tracebacks, crashes, more than {LONGEST_S:g} s, "
+        f"forbidden inputs that "
         "are "
         "accepted, and messages of several lines or in the words of MuJoCo, its XML parser, pydantic or Python's "
         "imports.",

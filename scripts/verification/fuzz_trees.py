@@ -391,7 +391,8 @@ def main() -> int:
         f"Commit {git_commit()}, {time.monotonic() - start:.0f} s. {len(outcomes)} well-formed scenes had one to three "
         f"random changes each. {SHARE_OF_SHIPPED:.0%} of them are shipped scenes, and the others variants of a "
         "small scene. "
-        'Each scene is planned, and stepped three times if the plan expects a few seconds. "Bad" also includes NumPy '
+        "Each scene is planned, and stepped three times if the plan expects a few seconds. Bad outcomes also include "
+        "NumPy "
         "warnings and numbers that are not finite.",
         "",
         f"Refused: {counts['all']['refused']}, accepted: {counts['all']['accepted']}, bad: "

@@ -34,7 +34,7 @@ scene is written in another form and must give the same results. The forms are:
   with that shift.
 - mirrored: with the other hand, or without a hand with y reversed.
 - other order of plugins, instances and sensors; transducers from a CSV file, in their order and in reverse order.
-- p0 x 2: all results four times as large, or unchanged if the stimulus sets the level.
+- p0 x 2: all results become four times as large, or stay the same if the stimulus sets the level.
 - step / 2: half of the MuJoCo step.
 - two worlds, the second with a displaced stimulus; each is compared with a single run.
 

@@ -88,7 +88,7 @@ def wide_spot(width: float) -> str:
         solve(disc("roller"), load, TIMES, AT, solver="lateral_waves", device="cpu")
         waves = "lateral_waves answer"
     except PalmfieldError:
-        waves = "`lateral_waves` refuse"
+        waves = "`lateral_waves` refuses"
     return f"{stated(solve(disc('roller'), load, TIMES, AT, accuracy=0.02, device='cpu'), known)}; {waves}"
 
 

@@ -36,12 +36,14 @@ LAYOUT_OF_UNITS = {1: "autd2018", 4: "autd2018_2x2"}
 
 @dataclass(frozen=True)
 class Autd2018(Board):
-    """The board of the paper. packet_header, packet_footer: bits, as text; packet_bit_order: of each field;
-    packet_lsb_m: of a coordinate [m]
-    packet_baud: of the serial line to the first unit, not given in the paper; the default is the lowest usual rate
+    """The board of the paper. packet_header, packet_footer: bits, as text; packet_bit_order: bit order of each field;
+    packet_lsb_m: value of the lowest bit of a coordinate [m]
+    packet_baud: baud rate of the serial line to the first unit, not given in the paper; the default is the lowest
+    usual rate
         that carries 2,000 packets a second
     duty_exponent, pwm_edge: see `palmfield.drive.pulse_width`
-    hop_delay_s: of each unit that a packet passes [s]; skew_s: largest difference between units after the sync
+    hop_delay_s: hop delay of each unit that a packet passes [s]; skew_s: largest difference between units after the
+    sync
     clock_drift_ppm: largest difference of units' clocks; sync: whether clocks are set every 500 us
     board_sound_speed_m_s: used by units to compute phases [m/s]
     """

@@ -64,7 +64,9 @@ class BufferedTwin(Twin):
     """
 
     def __init__(self, line: Line, pieces: re.Pattern[bytes], first: int) -> None:
-        """pieces: commands, and runs of data between them; first: of all emitters in both buffers at power-up"""
+        """pieces: commands, and runs of data between them; first: content of both buffers at power-up, for all
+        emitters
+        """
         super().__init__(EMITTERS, 1.0 / line.bytes_per_s)
         self._pieces, self._counter = pieces, 0
         self._front, self._back = (np.full(EMITTERS, first, dtype=np.uint8) for _ in range(2))

@@ -57,7 +57,7 @@ class SonicSurfacePair(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
         """Return 517 bytes: 192, 254, 256 data bytes, 193, 254, 256 data bytes, swap.
 
-        amplitudes: of the first array, then of the second, shape (512,), each 0 or of magnitude 1
+        amplitudes: amplitudes of the first array, then of the second, shape (512,), each 0 or of magnitude 1
         """
         values, on = switched(self, amplitudes)
         below, above = slice(0, EMITTERS), EMITTERS + DOWNWARD

@@ -49,7 +49,9 @@ def waveforms(amplitudes: Complex) -> NDArray[np.uint8]:
 
 
 def pattern(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Bytes of the ports, one division after the other, shape (100,); levels: of a board's signals, shape (64, 10)."""
+    """Bytes of the ports, one division after the other, shape (100,); levels: levels of a board's signals, shape (64,
+    10).
+    """
     pins = np.zeros((DIVISIONS, 8 * PORTS), dtype=np.uint8)
     pins[:, PORT_MAPPING] = levels.T
     return np.packbits(pins, axis=1, bitorder="little").ravel()

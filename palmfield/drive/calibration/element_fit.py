@@ -48,7 +48,7 @@ class ElementFit:
     swapped: those places; unfit: columns of the readings that are loud and fit no place, which are off
     p0_Pa_m: mean amplitude of those that sound, and its standard error from the scatter alone, without the microphone's
         own calibration
-    moved_m: shift of the microphone from its nominal places, shape (m, 3); sound_speed_m_s: as fitted
+    moved_m: shift of the microphone from its nominal places, shape (m, 3); sound_speed_m_s: fitted speed of sound
     misfit: rms of the residual, relative to the rms reading
     """
 

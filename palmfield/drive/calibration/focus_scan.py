@@ -28,7 +28,7 @@ def fit_pose(
 ) -> Pose:
     """Fit offset and rotation of the board that move its foci to the measured ones, by least squares over amplitudes.
 
-    array: with calibrated gains, in its nominal frame
+    array: array with calibrated gains, in its nominal frame
     foci_m: commanded for each reading, in that frame [m], shape (k, 3)
     at: places of the microphone, in the same frame [m], shape (k, 3); pressures_Pa: amplitudes, shape (k,)
     temperature_sd_K: standard deviation of the temperature of the air: faster sound moves foci closer Rotations are

@@ -17,7 +17,7 @@ def fit_level(levels: ArrayLike, pressures_Pa: ArrayLike) -> Level:
     The fit is in logarithms, over levels up to a limit. The limit is lowered from full drive until all readings above
     it deviate from the fit by more than MISSING. Forces are passed as their square roots.
 
-    levels: of the drive, 0 < a <= 1, shape (n,), 5 different ones at least; pressures_Pa: amplitudes, shape (n,)
+    levels: levels of the drive, 0 < a <= 1, shape (n,), 5 different ones at least; pressures_Pa: amplitudes, shape (n,)
     Raises PalmfieldError for levels and readings out of these ranges, and where fewer than 4 levels are linear.
     """
     a, p = np.asarray(levels, float), np.asarray(pressures_Pa, float)

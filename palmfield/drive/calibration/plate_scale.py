@@ -20,11 +20,11 @@ PER_WAVELENGTH = 8
 
 @dataclass(frozen=True)
 class PlateFit:
-    """Result of the fit. p0_Pa_m: with its standard error from the scatter, and the ends of its 95 % interval, which
+    """Result of the fit. p0_Pa_m: p0 with its standard error from the scatter, and the ends of its 95 % interval, which
     includes the error of the law.
 
     fringe: relative amplitude of the variation of the force with distance, from sound between plate and array
-    drift_N_s: of the scale [N/s]
+    drift_N_s: drift of the scale [N/s]
     """
 
     p0_Pa_m: float
@@ -53,9 +53,9 @@ def fit_plate(
     the reading at a distance with the array off. Solved by linear least squares in p0^2, p0^2 a, p0^2 b, draughts and
     drift.
 
-    array: with calibrated gains; drive: complex amplitudes, shape (n,), of transducers as wired
-    size_m: of the plate, which is centred on the axis of the array and lies across it
-    distances_m, times_s, on, forces_N: of each reading, shape (k,); on is 1 while the array sounds, else 0
+    array: array with calibrated gains; drive: complex amplitudes, shape (n,), of transducers as wired
+    size_m: size of the plate, which is centred on the axis of the array and lies across it
+    distances_m, times_s, on, forces_N: values of each reading, shape (k,); on is 1 while the array sounds, else 0
     level: its pressure relative to full drive
     Raises PalmfieldError for fewer than 4 distances or ones beyond half a wavelength of the others, readings of one
     kind only at some distance, numbers that are not finite, and a plate without force.

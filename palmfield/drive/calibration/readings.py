@@ -46,7 +46,7 @@ class Circumstances:
 
 @dataclass(frozen=True)
 class Measured:
-    """Result of readings. calibration: with these results; report: the results, one line each"""
+    """Result of readings. calibration: calibration with these results; report: the results, one line each"""
 
     calibration: Calibration
     report: tuple[str, ...]
@@ -54,7 +54,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Measurement:
-    """A kind of measurement. about: procedure in the laboratory; columns: of its CSV file; put: readings into
+    """A kind of measurement. about: procedure in the laboratory; columns: columns of its CSV file; put: readings into
     calibration; optional: further allowed columns"""
 
     about: str
@@ -264,7 +264,7 @@ MEASUREMENTS: dict[str, Measurement] = {
 def measured(kind: str, path: str | Path, calibration: Calibration, array: Array, under: Circumstances) -> Measured:
     """Return the calibration with the results of a file of readings.
 
-    kind: a key of MEASUREMENTS; array: of the layout of the calibration
+    kind: a key of MEASUREMENTS; array: array of the layout of the calibration
     Raises SceneError for a file that cannot be read or lacks columns, PalmfieldError for unusable readings.
     """
     file, measurement = Path(path), MEASUREMENTS[kind]

@@ -25,7 +25,7 @@ class PortStuck(PortLost):
 
 
 class _OnItsWay(NamedTuple):
-    """A frame in transit. end: bytes written with it; number: of its lateness"""
+    """A frame in transit. end: bytes written with it; number: number of its lateness"""
 
     end: int
     due_s: float
@@ -35,8 +35,8 @@ class _OnItsWay(NamedTuple):
 class BoardEnd:
     """An open port and the frames sent through it.
 
-    frames: written whole; cut: partly taken by the system; late_s: of each frame, delay of its last byte on the line
-    [s]; write_late_s: delay of its writing [s]
+    frames: written whole; cut: partly taken by the system; late_s: delay of the last byte of each frame on the
+    line [s]; write_late_s: delay of its writing [s]
     numbered: number, due time and index in late_s of each numbered frame
     """
 
@@ -89,7 +89,7 @@ class BoardEnd:
         """Write a frame; return False if the system did not accept all of it: then write a whole frame next.
 
         due_s: target time of its last byte on the line; planned_s: planned time of writing, both on `now_s`
-        number: of a frame whose time on the line `on_line` reports later
+        number: number of a frame whose time on the line `on_line` reports later
         Raises PortLost if the port is lost.
         """
         began = now_s()

@@ -65,8 +65,8 @@ class Player:
     In the main thread SIGTERM, SIGHUP and SIGQUIT become SystemExit meanwhile, and Ctrl-Z silences the board before it
     stops the program.
 
-    priority: of the process, in words; silent: reason why live frames are silent, or empty
-    begin_s: beginning of its log, on time.monotonic() [s]; report: of the last play, after `close`
+    priority: priority of the process, in words; silent: reason why live frames are silent, or empty
+    begin_s: beginning of its log, on time.monotonic() [s]; report: report of the last play, after `close`
     log_error: reason why the log ends early, after `close`; else empty
     """
 
@@ -158,7 +158,7 @@ class Player:
 
         steps: the same frame at rising levels up to its own, all of one length, for the ramp; only itself if the board
             has no levels
-        level: of its sound, 0 for silence; made_s: time of its input data, on time.monotonic() [s], None for now
+        level: level of its sound, 0 for silence; made_s: time of its input data, on time.monotonic() [s], None for now
         due_s: target time of its last byte on the line, on that clock, later than those of all before; of several
             due frames the newest is sent; 0: as soon as possible
         Raises DeviceError if the board is lost or the player has died.

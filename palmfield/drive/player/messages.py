@@ -28,7 +28,7 @@ class Job:
     log: file to which lines of a log are added, empty for none; refresh_s: interval of repetition of constant frames
     lost_s: longest time without bytes taken by a line; replug_s: longest wait for a lost port, to silence the board
     patience_s: longest time to silence a board whose port exists and takes no bytes; 0 for no limit
-    stale_s: after which a live frame is old; ramp_s: time from silence to full and back, of live frames
+    stale_s: time after which a live frame is old; ramp_s: time from silence to full and back, of live frames
     on_time_s: longest total of sound of live frames, 0 for any; duty: largest share of time, over duty_window_s
     tells_frames: whether it reports when the last byte of each live frame was on the line
     """
@@ -93,7 +93,7 @@ class Schedule(NamedTuple):
 class LiveFrame(NamedTuple):
     """A frame made while others sound.
 
-    made_s: time of its input data, on time.monotonic() [s]; level: of its sound, 0 for silence
+    made_s: time of its input data, on time.monotonic() [s]; level: level of its sound, 0 for silence
     steps: the same frame at rising levels up to its own, all of one length; only itself if there are none
     due_s: target time of its last byte on the line, on that clock, later than all before; 0: as soon as possible
     """

@@ -13,10 +13,10 @@ class PlayReport:
 
     late_s: worst delay of the last byte of a frame on the line; late_p99_s, late_p50_s: 99 and 50 % quantiles of it
     write_p99_s: 99 % quantile of the delay of writing to the system; write_worst_s: the worst delay
-    seconds: duration of the sending; priority: of the player, in words
+    seconds: duration of the sending; priority: priority of the player, in words
     first_s, last_s: when the last bytes of the first and the last frame were on the line, on time.monotonic() [s];
     None without frames, and of a record
-    on_line: of live frames, if requested: their numbers, in the order given, and when the last byte of each was on
+    on_line: numbers of live frames, in the order given, and when the last byte of each was on
     the line, on time.monotonic() [s]
     """
 

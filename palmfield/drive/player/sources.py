@@ -18,7 +18,7 @@ class NextFrame(NamedTuple):
     """The next frame. at_s: when to write it; due_s: target time of its last byte on the line; data: empty to choose
     again at this time
 
-    number: of the frame among all, from 0 on; -1 for repeated or extra frames
+    number: number of the frame among all, from 0 on; -1 for repeated or extra frames
     """
 
     at_s: float

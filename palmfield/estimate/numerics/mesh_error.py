@@ -38,7 +38,7 @@ MOST_CHANGES = 6
 class Meshes(NamedTuple):
     """Meshes of a layer to compare with its own.
 
-    other: finer or coarser; ratio: of the edges of both, above 1; between: meshes between the two.
+    other: finer or coarser; ratio: ratio of the edges of both, above 1; between: meshes between the two.
     other_rows: a coarser mesh with another number of rows in depth; None if `other` is finer.
     """
 
@@ -91,9 +91,9 @@ def mesh_error(
 ) -> float:
     """Return the relative error of one of two meshes, the largest of static, harmonic and over time.
 
-    between: responses of meshes between the two. other_rows: of the coarser mesh with another number
+    between: responses of meshes between the two. other_rows: other rows of the coarser mesh with another number
         of rows; the error of the rows, which is the same in the finer mesh, is added.
-    moved: the motion of each over time. ratio: of edges, above 1.
+    moved: the motion of each over time. ratio: ratio of edges, above 1.
     of_coarse: whether to return the error of the coarser mesh or of the finer one.
     """
     mesh, ringing = changes(coarse, fine, moved)

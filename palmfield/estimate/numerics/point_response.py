@@ -18,7 +18,8 @@ class Response:
     """Displacement at a point of one mesh of a skin under one sound, by a reduced model.
 
     pressure: ARP at the quadrature points at the factor 1 [Pa], shape (q,).
-    static: of the point at rest [m], 0 for a body without support; harmonic: at the main frequency, exact in time.
+    static: displacement of the point at rest [m], 0 for a body without support; harmonic: that at the main frequency,
+    exact in time.
     small: the model; `solve` makes it, and those of `others`, of other materials on the same mesh.
     """
 

@@ -59,8 +59,8 @@ def byproduct(
     """Return the by-product of ultrasound with a power at RATE_HZ, shape (k,), as if all of it were modulated.
 
     The beam is as long as absorption allows, and the force on a hand that stops all of it is 2 P/c: both are upper
-    estimates. distance_m: of the listener from the beam; along_m: position along the beam from its beginning, None for
-    a beam that is a point
+    estimates. distance_m: distance of the listener from the beam; along_m: position along the beam from its beginning,
+    None for a beam that is a point
     """
     if np.ptp(powers_W) <= ROUND_OFF * powers_W.mean():
         return Byproduct(-math.inf, -math.inf, 0.0)

@@ -133,7 +133,7 @@ def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: F
 
 
 def with_band(loudest: Exposure, factors: tuple[float, float] | None) -> Exposure:
-    """Add a band. factors: of the squared pressure there, at the ends of the range of p0; None for no range"""
+    """Add a band. factors: factors of the squared pressure there, at the ends of the range of p0; None for no range"""
     if factors is None or min(factors) <= 0.0:
         return loudest
     low, high = (10.0 * math.log10(factor) for factor in factors)

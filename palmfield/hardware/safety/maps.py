@@ -45,7 +45,7 @@ def head_map(moments: Sequence[SoundMoment], driver: DriverConfig, point: Exposu
 
 
 def skin_map(name: str, points: Float, peaks_Pa: Float, point: Exposure) -> LevelMap:
-    """Map a skin in the plane of its largest extent. points: at its loudest moment [m], shape (n, 3)"""
+    """Map a skin in the plane of its largest extent. points: points at its loudest moment [m], shape (n, 3)"""
     middle = points.mean(axis=0)
     wide = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
     places = (points - middle) @ wide.T
@@ -57,7 +57,9 @@ def skin_map(name: str, points: Float, peaks_Pa: Float, point: Exposure) -> Leve
 def course(
     times_s: Float, moments: Sequence[SoundMoment | None], driver: DriverConfig, head: Exposure, skins: dict[str, Float]
 ) -> LevelCourse:
-    """Compute levels over a play. moments: at each time, None for silence; skins: peaks at each of these times [Pa]"""
+    """Compute levels over a play. moments: moments at each time, None for silence; skins: peaks at each of these times
+    [Pa]
+    """
     assert driver.head_m is not None
     ball = ball_points(np.array(driver.head_m), driver.head_radius_m, COURSE_SPACING_M)
     points = np.concatenate([head.place[None], ball])

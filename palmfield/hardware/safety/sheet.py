@@ -38,8 +38,8 @@ class SafetySheet:
     """Numbers of `palmfield safety` for a scene; levels are of the commanded sound, without ring-up.
 
     head_declared: whether the scene defines a head; head_warnings: warnings for users about it, in words
-    distance_m: of the sphere of the head from the beam, 0 if the beam enters it; then byproduct is None
-    sounding_share: fraction of moments with sound; p0: of each array; moves: whether hands or arrays move
+    distance_m: distance of the sphere of the head from the beam, 0 if the beam enters it; then byproduct is None
+    sounding_share: fraction of moments with sound; p0: p0 of each array; moves: whether hands or arrays move
     maps, course: levels at the head, at the skins, and over the play, for a picture
     """
 

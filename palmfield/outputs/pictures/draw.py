@@ -26,7 +26,7 @@ def draw_pictures(
 ) -> tuple[dict[str, Path], dict[str, str]]:
     """Draw kinds of pictures of a result, each to OUT/KIND.SUFFIX at 300 dpi.
 
-    kinds: of KINDS, all if empty; suffix: one of FORMATS
+    kinds: kinds of KINDS, all if empty; suffix: one of FORMATS
     Returns the files by kind, and reasons why others could not be drawn. If all kinds are drawn, those without data are
     skipped; the first named kind that cannot be drawn raises its OutputError or MeasurementError.
     Raises OutputError for an unknown kind or format, for options that no kind uses, and if a file cannot be written.

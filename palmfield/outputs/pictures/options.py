@@ -30,9 +30,9 @@ class Options:
     """Options of a picture.
 
     time_s: None for the default time of the kind; places: points in the world as the run begins [m], whose nearest
-        vertex is used; limits: of the colours or the axis, in the unit of the picture
-    skin: name, if there are several; quantity: of the motion of the skin along its outward normal
-    observer: of levels, by name; None for all with a value
+        vertex is used; limits: limits of the colours or the axis, in the unit of the picture
+    skin: name, if there are several; quantity: quantity of the motion of the skin along its outward normal
+    observer: name of the observer of levels; None for all with a value
     """
 
     time_s: float | None = None
@@ -50,7 +50,7 @@ Draw = Callable[[xr.DataTree, Options], Figure]
 class Kind(NamedTuple):
     """A kind of picture. draw: raises OutputError or MeasurementError if the result lacks data; about: a sentence
 
-    heeds: options of `Options` that change the picture, default all; unit: of its limits
+    heeds: options of `Options` that change the picture, default all; unit: unit of its limits
     place: order in lists: sound (1 to 9), maps of the skin (10 to 19), motion over time (20 to 29)
     """
 

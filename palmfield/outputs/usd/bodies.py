@@ -43,8 +43,8 @@ class BodyWriter:
     ):
         """Add the prims of the body.
 
-        body, forces: groups of any of its skins; surfaces: of skins with a surface; skins: by name
-        colour: of the body, and of its skins without colours over time
+        body, forces: groups of any of its skins; surfaces: surfaces of skins with a surface; skins: skins by name
+        colour: colour of the body, and of its skins without colours over time
         """
         boned = body is not None and has_records(body, "bone_pose")
         moves = body is not None and has_records(body, "pose")

@@ -32,7 +32,9 @@ POINT_M = 1.2e-3
 
 
 class _Moment(NamedTuple):
-    """The sound at a time. time_s: [s]; slice_Pa: peak amplitudes on the slice, (n,); box_Pa: in the box, (m,)"""
+    """The sound at a time. time_s: [s]; slice_Pa: peak amplitudes on the slice, (n,); box_Pa: peak amplitude in the
+    box, (m,)
+    """
 
     time_s: float
     slice_Pa: Float

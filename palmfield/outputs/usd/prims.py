@@ -48,7 +48,7 @@ def add_mesh(
 ) -> UsdGeom.Mesh:
     """Add a mesh of polygons with equal numbers of corners, faces of shape (m, corners), in one colour or without.
 
-    normals: of vertices, for smooth shading; None for flat faces
+    normals: normals of vertices, for smooth shading; None for flat faces
     """
     mesh = UsdGeom.Mesh.Define(stage, path)
     placed, corners = vectors(points), np.asarray(faces, np.int32)

@@ -14,7 +14,7 @@ PART = 255
 class Rounding(NamedTuple):
     """Rounding of values in a range to multiples of a step, so that 0 is unchanged.
 
-    low, high: the range; bound: largest error; weights: of each value, if the weighted sum must be preserved
+    low, high: the range; bound: largest error; weights: weights of each value, if the weighted sum must be preserved
     To preserve a sum, such as a force from pressures over areas, each time has its own threshold above which values are
     rounded up. With rounding to the nearest step, large areas with small pressures would lose 2 % of the force on a
     hand.

@@ -11,10 +11,10 @@ from palmfield.types import Float32
 class Quantity(NamedTuple):
     """A quantity of skin; the name of its primvar is its key in QUANTITIES.
 
-    variable: of group /skin of the result; "" for a quantity computed from the displacement
+    variable: variable of group /skin of the result; "" for a quantity computed from the displacement
     along_normal: whether it is the component along the outward normal at rest
-    unit: of the primvar, SI; sign: meaning of a positive value; title: in legends
-    shown_unit, per_unit: of the legend, and number of shown units in one unit of the primvar
+    unit: unit of the primvar, SI; sign: meaning of a positive value; title: title in legends
+    shown_unit, per_unit: unit of the legend, and number of shown units in one unit of the primvar
     two_sided: whether values have both signs; keeps_sum: whether its sum over areas must be kept
     """
 

@@ -15,16 +15,16 @@ class Shown:
     """Contents of a USD scene of a run.
 
     colour: quantity of the colours of skins, of `palmfield.outputs.usd.quantities.QUANTITIES`, or "none"
-    limits: of the colours, in the SI unit of the quantity; None for the range of the run, symmetric for signed
+    limits: limits of the colours, in the SI unit of the quantity; None for the range of the run, symmetric for signed
         quantities
     magnify: factor of the motion in the variant "magnified"; None: the largest motion appears as about 2 mm, if its
         points take 8 MB or less; 0: no such variant
     quantities: written as primvars, None for all in the result
-    start_s, end_s: of the run [s], None for its ends; frames: largest number of time codes
+    start_s, end_s: part of the run [s], None for its ends; frames: largest number of time codes
     field: shapes of the sound field, of FIELD_SHAPES; field_times_s: their times [s], () for the loudest
-    level_Pa: of the isosurface and lower limit of points, peak amplitude [Pa];
+    level_Pa: level of the isosurface and lower limit of points, peak amplitude [Pa];
         None for half of the maximum around the foci
-    observer: of the level above threshold
+    observer: observer of the level above threshold
     """
 
     colour: str = "normal_displacement"

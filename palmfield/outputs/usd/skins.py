@@ -80,7 +80,7 @@ class _Track(NamedTuple):
     colour: tuple[Palette, Samples] | None
 
     def extend(self, codes: Sequence[float], values: Float32, rows: Any = slice(None)) -> None:
-        """Add values at rising time codes; rows: of the values, shape (t, vertices), for each code"""
+        """Add values at rising time codes; rows: rows of the values, shape (t, vertices), for each code"""
         self.samples.extend(codes, self.rounding.of(values)[rows])
         if self.colour is not None:
             palette, numbers = self.colour
@@ -90,7 +90,7 @@ class _Track(NamedTuple):
 class SkinWriter:
     """Writes one skin, frame by frame.
 
-    mesh: of the skin, with vertices in strips; order: number of each vertex in the result
+    mesh: mesh of the skin, with vertices in strips; order: number of each vertex in the result
     """
 
     def __init__(self, stage: Usd.Stage, path: str, skin: xr.Dataset, colour: tuple[float, ...]):

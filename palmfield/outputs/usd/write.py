@@ -47,7 +47,7 @@ class _Writer(Protocol):
 
 
 class _Ranges(NamedTuple):
-    """Ranges of quantities. own: by skin and quantity; courses: level over time by skin; missing: reasons"""
+    """Ranges of quantities. own: range by skin and quantity; courses: level over time by skin; missing: reasons"""
 
     own: dict[str, dict[str, tuple[float, float]]]
     courses: dict[str, LevelCourse]
@@ -68,7 +68,8 @@ def write_usd(
 ) -> None:
     """Write a result as a USD scene: .usdc (crate), .usda (text) or .usdz (package), by the suffix.
 
-    result: of `open_result` or `tree`; shown: contents, see `Shown`; fps: frames per second for players, independent of
+    result: as returned by `open_result` or `tree`; shown: contents, see `Shown`; fps: frames per second for players,
+    independent of
         the time step of the run [1/s]; on_frame: called with the numbers of completed and of all time codes
     Metres, kilograms, z up. Time code / timeCodesPerSecond is the time of the run in seconds. docs/usd.md lists
     prims and primvars. Every 200 frames the scene is saved and copied to NAME.partial.usdc, which remains after a

@@ -174,8 +174,8 @@ def _foci(rng: np.random.Generator, offsets: Float, region_m: float, count: int)
     """Return foci near the skin and their images, from its centre in the frame of the skin [m], shape (images, count,
     3).
 
-    offsets: of the quadrature points, in that frame, shape (q, 3). Foci are uniform over the area of the region, by
-    distance from the middle and direction, and take their height from the nearest point.
+    offsets: offsets of the quadrature points, in that frame, shape (q, 3). Foci are uniform over the area of the
+    region, by distance from the middle and direction, and take their height from the nearest point.
     """
     distance = np.linalg.norm(offsets, axis=1)
     near = offsets[distance < region_m]
@@ -212,7 +212,7 @@ def _has_edges(skin: SkinSpec) -> bool:
 def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Return which points lie outside the shadow of a straight finger or half plane, and of its images.
 
-    offsets: of the points from the middle of the region in the frame of the skin [m], shape (q, 3)
+    offsets: offsets of the points from the middle of the region in the frame of the skin [m], shape (q, 3)
     Returns shape (images * count, q), image by image, in the order of foci.
     """
     angle = 2.0 * math.pi * rng.random((count, 1))
@@ -245,7 +245,7 @@ def _drives(
 
     Return also the index of the focus or pair of each drive, shape (d,). Foci behind an array get no drive.
     sources: transducers, see `_sources`; single, pairs: foci, array frame [m], shapes (i, s, 3) and (i, 2 p, 3)
-    phases: of the second focus of each pair, as a factor, shape (p,)
+    phases: phases of the second focus of each pair, as a factor, shape (p,)
     """
     drives = [ArrayDrive(arrays, chosen, None, None, model.board) for chosen in sources]
 

@@ -55,7 +55,7 @@ class Discretisation:
 class MeshSolution:
     """Displacement [m] and velocity [m/s] at the requested times and points, (t, n, 3), and the numbers of the mesh.
 
-    normals: of the face at the points, (n, 3)
+    normals: normals of the face at the points, (n, 3)
     """
 
     displacement: Float

@@ -34,8 +34,8 @@ def relative_difference(solution: Float, reference: Float) -> float:
 def differences(solution: tuple[Float, Float], reference: tuple[Float, Float], normals: Float) -> Float:
     """Return the relative differences of displacement, velocity and normal displacement, (3,): QUANTITIES.
 
-    solution, reference: displacements and velocities, (t, n, 3) each; normals: of the face at the points, (n, 3)
-    At a single time they are those of difference_at_rest.
+    solution, reference: displacements and velocities, (t, n, 3) each; normals: normals of the face at the points, (n,
+    3) At a single time they are those of difference_at_rest.
     """
     along = tuple(np.einsum("tnc,nc->tn", u[0], normals)[..., None] for u in (solution, reference))
     measure = difference_at_rest if len(reference[0]) == 1 else relative_difference

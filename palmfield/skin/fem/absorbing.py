@@ -83,7 +83,7 @@ def sponge(mesh: WedgeMesh, depth_in_ring: Float, width_m: float, speed_m_s: flo
     """Return the damping by mass of each column of elements [1/s], shape (triangles,), of a ring outside the body.
 
     depth_in_ring: distance of each surface vertex into the ring [m], 0 or below inside the body, shape (S,)
-    width_m: of the ring [m], > 0; speed_m_s: shear speed [m/s]
+    width_m: width of the ring [m], > 0; speed_m_s: shear speed [m/s]
     """
     share = np.clip(depth_in_ring[mesh.surface_triangles6[:, :3]].mean(axis=1) / width_m, 0.0, 1.0)
     return SPONGE_DECAY * speed_m_s / width_m * share**2

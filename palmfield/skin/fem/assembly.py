@@ -33,12 +33,12 @@ class SkinSystem:
     directions: displacements of the nodes of the mesh, then of the foundation = directions @ u, csr, shape
         (3 * (nodes + foundation nodes), n), orthonormal columns.
     parts: the relaxing stiffnesses, one for each relaxation law, with its g_i, tau_i and t = eta / G_r.
-    material: of the surface.
+    material: material of the surface.
     dof_map: nodal displacements (3 * nodes, by node) = dof_map @ u, csr, shape (3 * nodes, n), the upper rows of
         `directions`.
     surface_node: surface node under which each free degree of freedom lies, shape (n,).
     supported: whether base or sides hold the body against a push, so that a static solution exists.
-    materials: of the parts, available before they are assembled.
+    materials: materials of the parts, available before they are assembled.
     made_of: all inputs of the matrices, for `palmfield.cache.digest`.
     """
 
@@ -80,8 +80,8 @@ class SkinSystem:
     def scaled_by(self, other: "SkinSystem") -> list[float] | None:
         """Return the factors of mass, damping, elastic and part that give those of the layer with another material.
 
-        other: on the same mesh. None if more than the material differs, or if several materials, springs or dashpots
-        contribute to the matrices.
+        other: system on the same mesh. None if more than the material differs, or if several materials, springs or
+        dashpots contribute to the matrices.
         """
         (one, *rest), (another, *others) = (tuple(dict.fromkeys(system.made_of[1])) for system in (self, other))
         mesh, theirs = self.mesh, other.mesh
@@ -107,7 +107,7 @@ def assemble(
 ) -> SkinSystem:
     """Assemble a layer.
 
-    material: of the whole layer, or of each of its rows of elements, the one at the surface first.
+    material: material of the whole layer, or of each of its rows of elements, the one at the surface first.
     base: "bonded" (no motion), "free_slip" (no motion along the normal of the base), "free" (no traction), Springs, or
     a
         Foundation (sheets below the mesh; the sides continue along them).
@@ -195,8 +195,8 @@ def _sums(
     matched_Hz: float | None,
     sponge_1_s: Float | None,
 ) -> "_Sums":
-    """The matrices over all nodes; springs, shear_spring: below the mesh [Pa/m]; matched_Hz: of absorbing sides, None
-    for others. Else see `assemble`."""
+    """The matrices over all nodes; springs, shear_spring: below the mesh [Pa/m]; matched_Hz: frequency of absorbing
+    sides, None for others. Else see `assemble`."""
     deviatoric, volumetric, unit_mass = element_matrices(mesh)
     pattern = _Pattern(mesh)
     sums = _Sums(3 * (len(mesh.nodes) + below.levels * mesh.surface_nodes))

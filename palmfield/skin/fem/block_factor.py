@@ -31,7 +31,7 @@ class Part(NamedTuple):
 class BlockFactor:
     """The data of the solve kernels. Unknowns are numbered by places: part by part, each padded to groups of WIDTH.
 
-    size: places, a multiple of WIDTH. place: of each unknown of the matrix, shape (n,).
+    size: places, a multiple of WIDTH. place: place of each unknown of the matrix, shape (n,).
     branches: independent parts. trunk: the part into which all branches lead.
     nodes: the blocks. widest: unknowns of the largest supernode. stored: numbers in all blocks.
     """

@@ -168,7 +168,7 @@ def eliminate(
     """The factor L of a symmetric matrix L L^T, supernode by supernode.
 
     matrix: its lower triangle, as for `supernodes`: real and positive definite, or complex with a positive definite
-        real part, perhaps after a turn of phase; groups: of `branches`.
+        real part, perhaps after a turn of phase; groups: as returned by `branches`.
     store: called with the number of each supernode, the inverse of its own part of L, lower triangular (w, w), and the
         part of L below, (rows, w); from several threads.
     Raises RuntimeError where a real matrix is not positive definite, or a complex one's pivot is 0.

@@ -14,7 +14,7 @@ from palmfield.types import Float
 class FaceTransfer:
     """Data on the wedges, which define loads and operators, for a stepper on its own mesh.
 
-    system: of the wedges. points: nodes of the other face [m], shape (f, 3).
+    system: system of the wedges. points: nodes of the other face [m], shape (f, 3).
     weights: motion of the wedges' surface nodes by that of the nodes of the other face, csr, shape (S, f).
     pressure: pressure at the nodes of the other face [Pa] by pressure at the quadrature points of the layer, csr, shape
         (f, q): the quadratic polynomial through the six points of each triangle.
@@ -60,7 +60,8 @@ def read(motion: Float, reader: Reader) -> Float:
 def ends_of_substeps(pressure: sparse.csr_matrix, patterns: Float, first: Float, last: Float) -> Float:
     """Return the pressure at the nodes of a face at both ends of each substep, shape (2 s, f), start and end in turn.
 
-    pressure: of FaceTransfer, (f, q); patterns: at the quadrature points [Pa], (k, q); first, last: weights, (s, k)
+    pressure: pressure of FaceTransfer, (f, q); patterns: patterns at the quadrature points [Pa], (k, q); first, last:
+    weights, (s, k)
     """
     weights = np.stack([first, last], axis=1).reshape(2 * len(first), -1)
     there = np.ascontiguousarray((pressure @ np.asarray(patterns, dtype=np.float64).T).T)

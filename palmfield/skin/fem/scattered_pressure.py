@@ -31,7 +31,7 @@ def between_points(points: Float, normals: Float, areas_m2: Float, places: Float
     1994, Discrete Comput. Geom. 12, 189). A place outside all triangles has the pressure of the nearest point, up to
     the radius of a disc of its area.
 
-    points, normals: [m] and outward unit vectors, shape (p, 3). areas_m2: of each point, (p,).
+    points, normals: [m] and outward unit vectors, shape (p, 3). areas_m2: areas of each point, (p,).
     places, facing: the same of the places, shape (q, 3).
     """
     tree = cKDTree(points)

@@ -45,7 +45,9 @@ def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: flo
 def discrete_weights(
     materials: Sequence[Material], f_Hz: float, step_s: float
 ) -> tuple[complex, complex, list[complex]]:
-    """Factors of mass, damping and the stiffness of each part in the z-symbol of the scheme; materials: of the parts"""
+    """Factors of mass, damping and the stiffness of each part in the z-symbol of the scheme; materials: materials of
+    the parts
+    """
     alpha_m, alpha_f, beta, gamma = alpha_weights(RHO_INF)
     z = cmath.exp(-2j * math.pi * f_Hz * step_s)
     # u (z - 1) = h v + h^2 a (1/2 - beta + beta z) and v (z - 1) = h a (1 - gamma + gamma z).

@@ -98,7 +98,7 @@ def face_pressure(load: Traction, nodes: Int, shares: Float, places: Float, area
 
     nodes, shares: nodes of the face round each place and their shares there, both (q, k); each node is given the mean
     of the pressure over its own part of the face.
-    places: of a rule on all of the face, [m], (q, 3); area_m2: area vectors of the places, outward, (q, 3).
+    places: places of a rule on all of the face, [m], (q, 3); area_m2: area vectors of the places, outward, (q, 3).
     """
     weights = np.linalg.norm(area_m2, axis=1)
     facing = area_m2 / weights[:, None]
@@ -128,7 +128,7 @@ def of_rule(mesh: WedgeMesh, system: SkinSystem, points: Float) -> bool:
 class Net:
     """Triangles in x and y between the points of a traction and others half a spacing beyond the outermost.
 
-    points: [m], (m, 3). owner: point whose pressure each has, (m,). delaunay: of their x and y.
+    points: [m], (m, 3). owner: point whose pressure each has, (m,). delaunay: triangulation of their x and y.
     longest_m: edge of each triangle [m]. steep: triangles that are left out.
     """
 

@@ -37,7 +37,8 @@ STORED_PER_THREAD = 250_000
 class _Room:
     """The work arrays of a call, and the launches on them. All is numbered by the places of the factor.
 
-    rows: the state, (r, size). forces: of patterns, (k, size). weights: of the patterns in the coming substep, (k,).
+    rows: the state, (r, size). forces: forces of patterns, (k, size). weights: weights of the patterns in the coming
+    substep, (k,).
     add_up: makes the sums of rows for the first substep.
     begin: pass of each branch down to the trunk; trunk: the part between; turn: pass of each branch up, and down again;
     end: the pass up.

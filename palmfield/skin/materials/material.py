@@ -73,7 +73,7 @@ class Material:
     bulk_Pa: K [Pa], > 0, of the relaxed solid.
     viscosity_Pa_s: eta [Pa s], >= 0.
     bulk_relaxes: whether K follows G, K(s) = K G(s) / G_r (Poisson's ratio is constant), or is elastic.
-    source: of the numbers.
+    source: source of the numbers.
 
     Raises SceneError for a value outside these ranges.
     """

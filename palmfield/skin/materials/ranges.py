@@ -13,7 +13,7 @@ UNITS: dict[str, str] = {"surface speed": "m/s", "shear speed": "m/s", "decay": 
 class Range:
     """A parameter of a Material (the name of a field) or of its whole shear modulus ("shear"), and its range.
 
-    low, high: in the unit of the field, or as factors on the shear modulus of the preset for the parameter "shear".
+    low, high: values in the unit of the field, or factors on the shear modulus of the preset for the parameter "shear".
     source: the kind of range (one standard deviation, extremes, ...) and its origin.
     """
 
@@ -30,7 +30,8 @@ class Observation:
     quantity: "surface speed" [m/s]: phase speed of the Rayleigh wave; "shear speed" [m/s]. "decay": |u(40 mm)| over
         |u(5 mm)| from a Gaussian spot of 10 mm full width on a layer depth_m deep, bonded to bone. "storage in
         compression" [Pa]: 3 G' of a bar that may widen freely.
-    f_Hz: frequency [Hz]. value: in UNITS[quantity]. spread: its standard deviation or half its range, None if unknown.
+    f_Hz: frequency [Hz]. value: value in UNITS[quantity]. spread: its standard deviation or half its range, None if
+    unknown.
     """
 
     quantity: Quantity

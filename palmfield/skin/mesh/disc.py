@@ -30,8 +30,9 @@ def disc_patch(
 ) -> Patch:
     """Disc of concentric rings of vertices, joined by Delaunay triangles.
 
-    radius_m, thickness_m: of the disc [m]. fine_m: edge length within fine_radius_m of the centre [m]. coarse_m: edge
-    length at the rim [m], reached linearly in the distance from the centre, but no faster than STEEPEST.
+    radius_m, thickness_m: radius and thickness of the disc [m]. fine_m: edge length within fine_radius_m of the centre
+    [m]. coarse_m: edge length at the rim [m], reached linearly in the distance from the centre, but no faster than
+    STEEPEST.
     fine_at: centre of the fine edges [m] instead of the centre of the disc; then there are rings near it only.
     Returns a Patch with its face at z = 0 looking along +z, `inward` along -z and `axis` +z.
     Raises SceneError unless all lengths are > 0, fine_m <= coarse_m <= radius_m and fine_radius_m <= radius_m.

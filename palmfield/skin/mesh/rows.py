@@ -13,7 +13,8 @@ def element_rows(sheets: Sequence[Sheet], fractions: Float) -> tuple[Float, list
     """Depth fractions of rows of elements such that none crosses two sheets, (L+1,), and the material of each row.
 
     sheets: the first at the surface; their thicknesses count as shares of their sum
-    fractions: of a layer of one sheet, 0 first, 1 last. A sheet gets as many rows as they have in it, at least one.
+    fractions: fractions of a layer of one sheet, 0 first, 1 last. A sheet gets as many rows as they have in it, at
+    least one.
     """
     index = np.arange(len(fractions), dtype=float)
     total = sum(sheet.thickness_m for sheet in sheets)

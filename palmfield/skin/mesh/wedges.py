@@ -21,7 +21,7 @@ class WedgeMesh:
     surface_triangles6: vertices, then edges 01, 12, 20, as surface nodes, shape (t, 6), int32.
     side: nodes of the lateral boundary, all levels, right-angled corners twice. base: nodes of the deepest level.
     side_normals: unit normals of the lateral boundary, square to `axis`, shape (len(side), 3); empty without an axis.
-    axis: of the patch for roller sides, or None.
+    axis: axis of the patch for roller sides, or None.
     """
 
     nodes: Float

@@ -28,7 +28,7 @@ def periodic(shapes: Complex, frequencies_Hz: Float, events: list[tuple[float, F
     """Return the sum over k of Re(F_k e^{-i w_k t}) that fades in or out.
 
     shapes: F_k [N], shape (n, k); frequencies_Hz: >= 0, shape (k,)
-    events: for each, its time t [s] and its fade
+    events: time t [s] and fade of each event
     """
     omega = 2.0 * np.pi * np.asarray(frequencies_Hz)
     turns = scipy.linalg.block_diag(*(np.array([[0.0, w], [-w, 0.0]]) for w in omega))

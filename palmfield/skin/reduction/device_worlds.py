@@ -26,7 +26,7 @@ class _Work(NamedTuple):
 class DeviceWorlds:
     """Steps of a ModalStepper whose modes move by themselves, under one pattern of pressure a world, in one state.
 
-    stepper: whose states it carries; most: worlds, at most; device: of `palmfield.device.resolve`
+    stepper: whose states it carries; most: worlds, at most; device: as returned by `palmfield.device.resolve`
     """
 
     def __init__(self, stepper: Any, most: int, device: str):

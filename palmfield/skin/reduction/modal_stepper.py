@@ -51,7 +51,7 @@ COMPLIANCE_LEFT_OUT = 1e-4
 class ModalBody:
     """The data of a ModalStepper that are expensive to compute.
 
-    modes: see RitzModes; shapes: of the class; forces: of each shape on each mode, shape (m, r)
+    modes: see RitzModes; shapes: shapes of the class; forces: forces of each shape on each mode, shape (m, r)
     compliance: the energy norm of a pressure at the shapes' points is that of pressure @ compliance, shape (p, k)
     readers: those of all steppers, with their operators, because each is a product of all modes
     """
@@ -80,7 +80,8 @@ def modal_body(
     surface: operator of the displacement that must be right, csr, (S, n).
     examples: pressures at the quadrature points [Pa], shape (t, q). depends_on: all data on which they depend.
     tolerance: relative share of the examples that the shapes may omit. points: number of points per shape.
-    blocks: of the space of the modes, at least 2. omitted: share of the motion that modes may omit, see `ritz_modes`.
+    blocks: blocks of the space of the modes, at least 2. omitted: share of the motion that modes may omit, see
+    `ritz_modes`.
     step_s: length of a substep [s], on which coupled modes depend.
     The result is stored in the cache (`palmfield.cache`).
     Raises SceneError if the layer can have no modes, or has too few unknowns.
@@ -127,8 +128,8 @@ def modal_body(
 
 @dataclass(frozen=True)
 class _Room:
-    """Work arrays of a call. forces: of each substep on the modes, (w, s, r); rows: the state, (w, rows, r); seen:
-    displacement and velocity after each substep, (w, s, 2, r); launch: runs all substeps"""
+    """Work arrays of a call. forces: forces of each substep on the modes, (w, s, r); rows: the state, (w, rows, r);
+    seen: displacement and velocity after each substep, (w, s, 2, r); launch: runs all substeps"""
 
     forces: Float
     rows: Float
@@ -206,7 +207,9 @@ class ModalStepper(SkinStepper):
     def _step_some(
         self, part: slice, states: Float, mixed: Float32, pushes: Float32, observe: Reader | None, seen: Float32 | None
     ) -> None:
-        """All substeps of some worlds; pushes: of each pattern on the modes, (w, k, r), or on the shapes, (w, k, m)"""
+        """All substeps of some worlds; pushes: pushes of each pattern on the modes, (w, k, r), or on the shapes, (w,
+        k, m)
+        """
         state, mixed, pushes = states[part], mixed[part], pushes[part]
         rooms = self._rooms.setdefault(mixed.shape[:2], [])
         try:

@@ -105,7 +105,8 @@ def point_model(
 ) -> list[PointModel]:
     """Make the model of the motion of a point of a layer under a force, by one real factorisation.
 
-    force: of the load at full level, (n,) [N]. read: of the point, (n,). main_Hz, highest_Hz: main and highest
+    force: force of the load at full level, (n,) [N]. read: vector that reads the point, (n,). main_Hz, highest_Hz:
+    main and highest
         frequency of the load.
     others: the layer with other materials, on the same mesh with the same conditions. Their models follow that of the
         layer in the list, in the same vectors: displacements are within 1 % for moduli of 0.6 to 1.7 times those of the

@@ -178,7 +178,7 @@ class Decoupled:
     """Steps of a reduced model in modal coordinates z: z = x @ there of a state x, and x = z @ back, both (n, n).
 
     The first numbers of z are real and imaginary part of each oscillating mode, the others the purely decaying modes.
-    grow: factor of a step for each of the first. fall: for each of the others.
+    grow: factor of a step for each of the first. fall: factor for each of the others.
     start, end: increment of z by a unit of each force at the start and at the end of a step, shapes (j, n).
     """
 

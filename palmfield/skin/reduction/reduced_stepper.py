@@ -178,7 +178,9 @@ class ReducedStepper(SkinStepper):
 
     @staticmethod
     def _leap_of(state: Float, weights: Float, ways: Float, power: Float, own: slice) -> None:
-        """Compute some substeps of some worlds; weights: of pressures at their starts and ends, shape (w, 1, 2 s)."""
+        """Compute some substeps of some worlds; weights: weights of pressures at their starts and ends, shape (w, 1, 2
+        s).
+        """
         after = state[own] @ power
         after += weights[own, 0] @ ways[0] if len(ways) == 1 else np.matmul(weights[own], ways[own])[:, 0]
         state[own] = after
@@ -277,7 +279,7 @@ def reduced_stepper(
 ) -> ReducedStepper:
     """Small model of a layer for a predicted load, from one real factorisation.
 
-    surface: operator of the displacement that must be right, csr, (S, n). point: at one place of it, (1, n).
+    surface: operator of the displacement that must be right, csr, (S, n). point: point at one place of it, (1, n).
     inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa].
     step_s: length of a substep [s], also that of the shares of the predicted load.
     highest_Hz: highest relevant frequency [Hz]. tolerance: target relative error.

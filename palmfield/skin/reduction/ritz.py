@@ -70,7 +70,8 @@ class RitzModes:
     elastic, stiffness: diagonals of V^T E V and of each V^T K_p V, shapes (r,) and (p, r).
     coupling: matrices without diagonal that couple the modes, in single precision, shape (c, r, r); none where each
         moves by itself.
-    shares: of 1 and of the stiffening of each law, the factors of these matrices in the dynamic stiffness, (c, 1 + p).
+    shares: shares of 1 and of the stiffening of each law, the factors of these matrices in the dynamic stiffness, (c,
+    1 + p).
     motion, change: harmonic motion of the surface under random sums of the shapes, and its change by the last block of
         vectors, the modes left out and the coupling left out, rms [m], at FREQUENCIES_Hz, shapes (f,).
     """
@@ -125,7 +126,8 @@ def ritz_modes(
 ) -> RitzModes:
     """Modes of a body for forces [N], shape (n, m), of which a load has shares of given rms sizes, shape (m,).
 
-    factor: of `shifted(system)`. blocks: vectors of the space for each force, at least 2, or 4 of several laws.
+    factor: as returned by `shifted(system)`. blocks: vectors of the space for each force, at least 2, or 4 of several
+    laws.
     omitted: share of the energy norm of the motion that the weakest modes, which are omitted, may have.
     surface: operator of the displacement that must be right, csr, shape (S, n).
     stiffened: for coupled modes, the factor of G / G_r of each law in a substep
@@ -207,8 +209,8 @@ def laws_at(materials: Sequence[Material], s: complex) -> Complex:
 class _Modes:
     """Stiffnesses of a body in the eigenvectors of a sum of them.
 
-    values: of the sum, (r,). matrices: elastic, and of each law except the first, (r, r).
-    means: of the elastic one and each law in the sum, (1 + p,).
+    values: values of the sum, (r,). matrices: elastic, and of each law except the first, (r, r).
+    means: means of the elastic one and each law in the sum, (1 + p,).
     rigidities: diagonals of the elastic stiffness and of that of each law, (1 + p, r).
     """
 

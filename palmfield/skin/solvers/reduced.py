@@ -165,7 +165,7 @@ def _run(
 def course(load: Load, weights: Float, requested: Float) -> tuple[Float, Float, Int]:
     """Times at which load or motion is needed (c,), the weights there (c, m), and the rows of the requested times (t,).
 
-    weights: at the times of the load, (f, m); they stay after the last
+    weights: weights at the times of the load, (f, m); they stay after the last
     """
     knots = load.times_s
     clock = np.unique(np.concatenate([knots, requested[requested > knots[0]]]))
@@ -186,7 +186,7 @@ def common_length(clock: Float) -> float:
 def carried(stepper: ReducedStepper, read: Float, clock: Float, weights: Float, law: str) -> Float:
     """Return the displacement [m] and velocity [m/s] from rest at the times of the clock, shape (c, 2, m).
 
-    weights: of the inputs at these times, (c, k), "linear" in between or "held" at that of the earlier one
+    weights: weights of the inputs at these times, (c, k), "linear" in between or "held" at that of the earlier one
     Steps of one length are taken in one call.
     """
     reader = stepper.reader(read)

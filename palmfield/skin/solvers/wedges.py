@@ -123,7 +123,7 @@ def solve_wedges(
 ) -> Motion:
     """Return the displacement and velocity of the skin under a load, from rest; on the CPU.
 
-    sizes, step_s: to pin mesh and step [s] instead of choosing them; rho_inf: see WedgeStepper
+    sizes, step_s: sizes of the mesh and step [s], None to choose them; rho_inf: see WedgeStepper
     Raises SceneError if refusal_wedges returns a reason, for an inverted element, points off the face, and bad numbers.
     """
     begin = time.perf_counter()

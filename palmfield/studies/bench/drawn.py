@@ -23,7 +23,7 @@ SIZES, SPEEDS = (0.8, 1.0), (0.8, 1.2)
 def draw_again(sim: Simulation, seed: int) -> None:
     """Draw other paths, levels and array places for a simulation that keeps its steppers; reset it.
 
-    seed: of the random numbers; equal seeds give equal draws for scenes that differ only in their skins
+    seed: seed of the random numbers; equal seeds give equal draws for scenes that differ only in their skins
     Moving the arrays changes their pose relative to bodies, obstacles and scripted motion.
     """
     rng = np.random.default_rng(seed)

@@ -19,13 +19,14 @@ class Problem:
     """Transducers, drive and a regular grid of points, with all numbers that a program needs to sum the field.
 
     low_m, steps, resolution_m: first point of the grid, number of points along x, y, z, and their distance [m]
-    positions, normals: of the transducers [m], shape (t, 3), float64; in groups of 249, for programs that accept
+    positions, normals: positions and axes of the transducers [m], shape (t, 3), float64; in groups of 249, for
+    programs that accept
         only whole AUTD3 units
     drive: complex amplitudes, 1 is full drive, shape (t,), complex128
     p0_Pa_m, frequency_Hz, sound_speed_m_s: as in Array and Air
     piston_radius_m: 0 is a point source; absorption_Np_m: 0 is lossless air
     directivity, sine, cosine, attenuation: polynomials of palmfield.acoustics.polynomials, lowest power first
-    temperature_C: of the air, for programs that compute the sound speed themselves
+    temperature_C: temperature of the air, for programs that compute the sound speed themselves
     device: Warp device of palmfield's own methods
     """
 

@@ -150,7 +150,7 @@ def measure(
 
     problems: file of the Problem by model
     places: interpreter and folders on its path by module of the method
-    folder: for files with results
+    folder: folder for files with results
     tick: called after each step with the name of the method; runs + 1 steps a method
     """
     processes: list[tuple[Measured, Process]] = []

@@ -55,7 +55,7 @@ def main(
     device: where the scene is computed; steps: least number of steps with sound for each scene
     known: measure unchanged scenes, with a reduced model where the load is predicted; else path, level and pose are
         drawn after the model is built, and the skins are computed by modes for every load
-    error: also compare the measured run with the whole layer; seed: of the random draws
+    error: also compare the measured run with the whole layer; seed: seed of the random draws
     commit: commit to print in the report if git is not available [default: that of git]
     Raises PalmfieldError for invalid options. Raises OutputError for a file that cannot be written: before any
     measurement if possible, else after the report is printed.

@@ -68,7 +68,7 @@ class PeerSolutions:
     """Solutions of other programs for the same case, to compare with palmfield's solvers.
 
     jobs: solver by name in the table; about: description for the head of the report
-    command: of this comparison, printed in the report
+    command: command of this comparison, printed in the report
     """
 
     jobs: Sequence[tuple[str, Callable[[], SkinRow]]]

@@ -11,8 +11,8 @@ from pathlib import Path
 class FieldRow:
     """One method in one range; with `missing` set there are no measurements. Seconds are medians.
 
-    model: a key of MODELS; range: in words
-    setup_s: time that is not repeated for another drive; clock_s: of one run
+    model: a key of MODELS; range: range in words
+    setup_s: time that is not repeated for another drive; clock_s: clock time of one run
     pairs_per_core_s: per second of core time, or None on a GPU
     error, gradient_error: relative L2 difference to float64 of the same model; of magnitudes if `magnitude` is set
     memory_MiB: peak memory minus that for a few points
@@ -62,7 +62,7 @@ def cells(line: str) -> list[str]:
 def keep_rows(page: Path, table: list[str], name: str = "") -> str:
     """Write a markdown table as CSV to the folder data next to a page and return the link to it.
 
-    table: lines including the heading and the rule; name: of the file, default that of the page. Raises OSError.
+    table: lines including the heading and the rule; name: name of the file, default that of the page. Raises OSError.
     """
     file = page.parent / "data" / f"{name or page.stem}.csv"
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -97,8 +97,8 @@ def as_markdown(rows: list[FieldRow], head: Head, models: dict[str, str]) -> str
         "",
         f"    {head.command}",
         "",
-        f"{head.processor}; palmfield on {head.device}; commit {head.commit}. Yardstick directly before each "
-        f"round: one float64 product of 1000 x 1000 matrices on one thread took {1e3 * head.yardstick_s:.1f} ms, "
+        f"{head.processor}; palmfield on {head.device}; commit {head.commit}. A yardstick was measured before "
+        f"each round: one float64 product of 1000 x 1000 matrices on one thread took {1e3 * head.yardstick_s:.1f} ms, "
         f"{2.0 / head.yardstick_s:.1f} GFLOP/s. {os.cpu_count()} threads of hashing did {head.cores:.2f} times the "
         "work of one thread, which is an upper bound for all cores.",
         "",
@@ -106,8 +106,9 @@ def as_markdown(rows: list[FieldRow], head: Head, models: dict[str, str]) -> str
         f"{' or '.join(str(n) for n in head.points)} points in a box 0.2 m wide, at two ranges of distance from the "
         "plane of the array. Each method runs in its own process, on one thread unless stated. Values are medians of "
         f"{head.runs} runs. A pair is one transducer and one point. Set-up is work that is not repeated for another "
-        "drive. The error is the relative L2 difference of the complex pressure from float64 of the same model; (m) "
-        "means that of the magnitude, for programs without phase. Memory is the peak on the host, minus that for 64 "
+        "drive. The error is the relative L2 difference of the complex pressure from the same model in float64. For "
+        "programs without phase, marked (m), it is the difference of the magnitude. Memory is the peak on the host, "
+        "minus that for 64 "
         "points.",
         "",
     ]

@@ -52,7 +52,7 @@ def suspected_faults(
 ) -> list[str]:
     """Return sentences for a report, none if the comparison looks plausible.
 
-    measured, computed: at the same points and times; the places of `measured` are those on the skin
+    measured, computed: motions at the same points and times; the places of `measured` are those on the skin
     motion: computed motion before any instrument
     """
     found = []

@@ -18,7 +18,7 @@ def guided_modes(
 ) -> tuple[GuidedMode, GuidedMode]:
     """Fit the mode at one frequency to both scans, at the same points of the skin, along the computed beams.
 
-    source_m: on the skin [m], (3,); None: place of largest computed motion; radius_m: excluded radius about it
+    source_m: point on the skin [m], (3,); None: place of largest computed motion; radius_m: excluded radius about it
     Raises MeasurementError for skin that is not flat, and as `line_amplitudes` and `guided_mode_fit`.
     """
     assert computed.sights is not None

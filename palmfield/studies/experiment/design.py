@@ -36,7 +36,7 @@ class Varied(_Part):
     """The key that the procedure varies.
 
     key: dotted, as of --set; reference: its value in the other intervals of a task with several
-    scale: log for levels that are ratios, reported as 20 lg in dB; unit: of the level, for tables
+    scale: log for levels that are ratios, reported as 20 lg in dB; unit: unit of the level, for tables
     """
 
     key: str
@@ -58,8 +58,8 @@ class Varied(_Part):
 class Task(_Part):
     """The question after each trial.
 
-    kind: yes_no (was it felt?), or nafc (in which of several intervals was the target?); question: in words
-    gap_s: between intervals; guess: for yes_no, rate of yes without sound, used by fits
+    kind: yes_no (was it felt?), or nafc (in which of several intervals was the target?); question: question in words
+    gap_s: pause between intervals; guess: for yes_no, rate of yes without sound, used by fits
     """
 
     kind: Literal["yes_no", "nafc"] = "nafc"
@@ -82,8 +82,9 @@ class Condition(_Part):
 
 
 class Simulated(_Part):
-    """A simulated observer with a given psychometric function. threshold, spread: in the unit of the varied key, or in
-    dB for a scale of ratios; lapse: rate of wrong answers at any level; thresholds: other thresholds, by condition
+    """A simulated observer with a given psychometric function. threshold, spread: values in the unit of the varied
+    key, or in dB for a scale of ratios; lapse: rate of wrong answers at any level; thresholds: other thresholds, by
+    condition
     """
 
     threshold: Number
@@ -100,7 +101,8 @@ class Simulated(_Part):
 class SkinObserver(_Part):
     """An observer that responds to the motion of the simulated skin.
 
-    observer: of `palmfield.perception`; a level of 0 dB above its threshold is detected with probability 1/2
+    observer: name of an observer of `palmfield.perception`; a level of 0 dB above its threshold is detected with
+    probability 1/2
     slope: b of 1 - exp(-ln 2 E^b), E the level as a ratio; lapse: as for Simulated; skin: instance, None for the first
     """
 
@@ -125,7 +127,7 @@ class Design(_Part):
     """An experiment. See docs/experiments.md for each key.
 
     scene: file, relative to the file of the experiment; blocks: number of runs of each condition
-    order: in each block, trials of all conditions interleaved, or one condition after another, both drawn by seed
+    order: order in each block: trials of all conditions interleaved, or one condition after another, both drawn by seed
     """
 
     name: str = Field(min_length=1)

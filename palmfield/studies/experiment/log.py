@@ -28,7 +28,7 @@ VERSION = 1
 
 
 class Trial(NamedTuple):
-    """A logged trial. number: from 0; block, condition: from 0; content: its line"""
+    """A logged trial. number: number from 0; block, condition: numbers from 0; content: its line"""
 
     number: int
     block: int

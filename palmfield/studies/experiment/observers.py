@@ -24,7 +24,9 @@ PRESS = {"yes_no": {"y": "yes", "n": "no"}, "adjustment": {"+": "stronger", "-":
 
 
 class Shown(NamedTuple):
-    """A trial presented to an observer. levels, keys of the scene: by interval; target: from 1; number: from 0"""
+    """A trial presented to an observer. levels, keys: levels and keys of the scene by interval; target: number of the
+    interval with the stimulus, from 1; number: number from 0
+    """
 
     number: int
     condition: str

@@ -37,7 +37,7 @@ class Presentation:
 class Emission(NamedTuple):
     """Times at which frames of a presentation sounded, when their last bytes were on the line [s, time.monotonic].
 
-    first_s, last_s: of the first and the last frame; frames: their number; skipped: number of dropped frames
+    first_s, last_s: times of the first and the last frame; frames: their number; skipped: number of dropped frames
     log: file of sent frames and their times; None without a board, when times are those of the calls
     log_s: time of the first frame on the clock of the log [s]
     """
@@ -79,7 +79,7 @@ class Sender(Closing):
     """
 
     def __init__(self, scene: Path, board: str | None, port: str | None, duration_s: float, log: Path) -> None:
-        """log: of frames, its folder is created when needed; files of further players are numbered"""
+        """log: log of frames, its folder is created when needed; files of further players are numbered"""
         self.scene, self.board, self.port, self.duration_s, self.log = scene, board, port, duration_s, log
         self._prepared: dict[str, Presentation] = {}
         self._open: tuple[Board, Path, Player] | None = None

@@ -133,7 +133,9 @@ class _Course(NamedTuple):
 @with_config(STRICT)
 @dataclass(frozen=True)
 class ConstantStimuli:
-    """Present each level equally often, in an order drawn for each repetition. levels; repeats; seed: of the order"""
+    """Present each level equally often, in an order drawn for each repetition. levels; repeats; seed: seed of the
+    order
+    """
 
     levels: tuple[float, ...]
     repeats: int
@@ -218,8 +220,8 @@ class Limits:
     """The method of limits: series of rising and of falling levels, in turn, each until the answer changes.
 
     levels: rising; series: number of series; rising and falling alternate, the first is rising
-    scale: of the mean. A rising series ends at the first yes and a falling one at the first no, at the latest after the
-    last level. Hasegawa & Shinoda 2018 (section 6.1) used six series.
+    scale: scale of the mean. A rising series ends at the first yes and a falling one at the first no, at the latest
+    after the last level. Hasegawa & Shinoda 2018 (section 6.1) used six series.
     """
 
     levels: tuple[float, ...]

@@ -20,9 +20,11 @@ STEEP = 0.5
 
 @dataclass(frozen=True)
 class ConditionReport:
-    """One condition. runs: trials by block; estimates: by the procedure, one a block, in the unit of the varied key
+    """One condition. runs: trials by block; estimates: estimates by the procedure, one a block, in the unit of the
+    varied key
 
-    levels: in the scale of fits (dB re 1 for ratios); shares: of right answers (or yes); trials: their numbers
+    levels: levels in the scale of fits (dB re 1 for ratios); shares: shares of right answers (or yes); trials: their
+    numbers
     fit: None if there is none; why: the reason
     """
 
@@ -70,7 +72,8 @@ def report_of(
 ) -> Report:
     """Return the report of the log of an experiment, finished or not.
 
-    shape, lapse, spread, confidence: of the fit (`palmfield.perception.psychometric.fit`); lapse and spread (dB if
+    shape, lapse, spread, confidence: options of the fit (`palmfield.perception.psychometric.fit`); lapse and spread
+    (dB if
         the scale is of ratios) are fitted if None
     Raises OutputError for a file that is not a log, and for values of shape, lapse and confidence that the fit does not
     allow.

@@ -34,7 +34,7 @@ class Task:
     """Settings that all points of a sweep share.
 
     scene: path on the workers; device, accuracy: see `palmfield.session.open_scene.compiled`
-    duration_s: of each run [s]; times: of courses [s], shape (t,); errors: whether errors are estimated
+    duration_s: duration of each run [s]; times: times of courses [s], shape (t,); errors: whether errors are estimated
     threads: limit for a worker, None for no change
     """
 

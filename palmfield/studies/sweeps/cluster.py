@@ -22,7 +22,7 @@ EXAMPLE = "such as tcp://192.168.1.10:8786"
 
 
 class Slot(NamedTuple):
-    """One thread of a worker. address: of the worker; threads: number of cores that a point may use"""
+    """One thread of a worker. address: address of the worker; threads: number of cores that a point may use"""
 
     address: str
     threads: int

@@ -32,7 +32,7 @@ class Design:
     """Points of a sweep.
 
     kind: how they were made; keys: names of the swept keys
-    values: by key; for a grid those along the dimension of the key, else one for each point
+    values: values by key; for a grid those along the dimension of the key, else one for each point
     """
 
     kind: Kind
@@ -76,7 +76,7 @@ class Design:
 def grid(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
     """Return every combination of the keys' values, the last key fastest.
 
-    values: by key; for the key of a vector, a sequence of tuples or an array of shape (n, m)
+    values: values by key; for the key of a vector, a sequence of tuples or an array of shape (n, m)
     Raises SceneError without keys, for a key without values or with equal values, and for more points than MOST_POINTS.
     """
     if not values:
@@ -107,7 +107,7 @@ def listed(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
 def random(values: Mapping[str, Range | Sequence[Any]], count: int, seed: int = 0) -> Design:
     """Draw points at random; equal seeds give equal points.
 
-    values: by key, a Range of numbers, or a sequence of which one element is drawn
+    values: values by key, a Range of numbers, or a sequence of which one element is drawn
     Raises SceneError for an empty range and for a count that is not above 0.
     """
     _check_drawn(values, count, "random")

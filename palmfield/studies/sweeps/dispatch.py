@@ -22,7 +22,7 @@ def computed(
     """Yield results of all batches as Dask workers return them; each worker has one batch at a time.
 
     there: threads of the workers; todo: see `palmfield.studies.sweeps.batch.batches`
-    group, point: of the point with a number; points of a batch are of one group
+    group, point: functions of the number of a point; points of a batch are of one group
     If a worker dies, the points of its batch are tried again at the end, one by one, each alone on a worker. So a point
     fails only if it kills its worker by itself.
     Raises PalmfieldError if the scheduler is lost.

@@ -37,7 +37,7 @@ def _may_differ(place: _Place) -> bool:
 class SceneKeys:
     """Keys of a design and those that all its points share, checked against one scene.
 
-    instances: of the plugins of the scene; places: by key, the value that it sets
+    instances: instances of the plugins of the scene; places: places by key, the value that it sets
     fixed: values that all points share, by `INSTANCE.KEY`; None removes a key
     """
 

@@ -22,10 +22,11 @@ from palmfield.types import Float
 
 @dataclass(frozen=True)
 class Overview:
-    """Facts of a sweep. name: of the scene; labels: see `palmfield.studies.sweeps.store.Labels`; times: of courses
-    [s], shape (t,)
+    """Facts of a sweep. name: name of the scene; labels: see `palmfield.studies.sweeps.store.Labels`; times: times of
+    courses [s], shape (t,)
 
-    duration_s: of each point [s]; device: of the fields, "cpu" or "cuda:N"; memory_bytes: estimate for a worker [bytes]
+    duration_s: duration of each point [s]; device: device of the fields, "cpu" or "cuda:N"; memory_bytes: estimate for
+    a worker [bytes]
     point_bytes: part of it for each further point as a world of the same simulation
     scene_digest: identifies the scene
     """

@@ -24,7 +24,7 @@ SPACED = 3.0
 
 
 class _Quantity(NamedTuple):
-    """A drawn quantity. name: of the variable; unit: on the axis; factor: from SI to this unit"""
+    """A drawn quantity. name: name of the variable; unit: unit on the axis; factor: factor from SI to this unit"""
 
     name: str
     title: str
@@ -40,7 +40,7 @@ MORE = (_Quantity("peak_velocity", "Peak normal velocity", "mm/s", 1e3),)
 def plot_sweep(dataset: xr.Dataset, path: Path) -> None:
     """Draw a PNG of level and peak displacement over the swept keys: lines, heat maps, or points.
 
-    dataset: of `open_dataset`. Raises OutputError if no point is done or `path` cannot be written.
+    dataset: as returned by `open_dataset`. Raises OutputError if no point is done or `path` cannot be written.
     """
     keys = swept_keys(dataset)
     available = [quantity for quantity in QUANTITIES if _finite(dataset[quantity.name])]

@@ -31,7 +31,7 @@ def sensor_names(scene: Simulation | Preview) -> list[str]:
 def measured(simulation: Simulation, duration_s: float, times: Float, errors: bool) -> list[Numbers]:
     """Run a simulation and return the numbers of its worlds; each world is a point.
 
-    duration_s: simulated time [s]; times: of courses, from the start of the run [s], shape (t,)
+    duration_s: simulated time [s]; times: times of courses, from the start of the run [s], shape (t,)
     errors: whether the error of the displacement is estimated, which takes longer than most runs
     Raises SceneError and DeviceError of the run.
     """

@@ -49,13 +49,14 @@ def size_bytes(design: Design, labels: Labels, errors: bool) -> int:
 class SweepStore:
     """The dataset of one sweep, open for writing.
 
-    path: of the Zarr group; status: of each point, shape of the design (see `palmfield.studies.sweeps.variables`)
+    path: path of the Zarr group; status: status of each point, shape of the design (see
+    `palmfield.studies.sweeps.variables`)
     """
 
     def __init__(self, out: Path, design: Design, labels: Labels, attributes: Mapping[str, Any], errors: bool) -> None:
         """Make the dataset in a folder, or open the one of an interrupted run of the same sweep.
 
-        attributes: of the dataset; the mapping `identity` among them identifies the sweep
+        attributes: attributes of the dataset; the mapping `identity` among them identifies the sweep
         Raises OutputError if the folder cannot be written, or contains another sweep.
         """
         self.path, self.design = Path(out) / DATASET, design

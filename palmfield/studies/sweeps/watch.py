@@ -20,7 +20,7 @@ class Watched:
 
     simulation: any state; steps: number of MuJoCo steps that follow
     times: ends of the substeps, from the start of the run [s], shape (t,)
-    motion: by skin, normal displacement [m] and velocity [m/s] in each world, shape (w, t, 2, S)
+    motion: motion by skin, normal displacement [m] and velocity [m/s] in each world, shape (w, t, 2, S)
     arp: highest ARP at these times [Pa], shape (w, skins, t); peak_arp: maximum over time, shape (w, skins)
     loudest: the moments of highest ARP by world and skin, None in silence
     forces: mean force of the sound on the body of each skin in each step [N], world axes, shape (steps, w, skins, 3)

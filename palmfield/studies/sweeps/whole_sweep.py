@@ -109,7 +109,7 @@ def sweep(
     workers: processes on this machine, by default as many as cores and memory allow, at most 8 for each GPU; 0 computes
         in this process, without Dask
     scheduler: address of a running Dask cluster, instead of workers; its workers must be able to read the scene
-    device, accuracy: see `palmfield.load`; duration_s: of each point [s], that of the scene by default
+    device, accuracy: see `palmfield.load`; duration_s: duration of each point [s], that of the scene by default
     errors: whether the error of each point is estimated, which takes longer than most runs
     picture: whether a picture is drawn; progress: whether a progress bar is shown on the standard error of a terminal
     yes: whether a sweep of more than 2 GB or an hour needs no confirmation; else `ask` is called with a question

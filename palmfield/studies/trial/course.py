@@ -32,7 +32,8 @@ class Frames(NamedTuple):
 class SceneCourse:
     """Poses at MuJoCo's steps, interpolated linearly; constant before the first and after the last.
 
-    model: of the scene; step_s: between poses [s]; end_s: time of the last one [s]; refused: reason of an early end
+    model: model of the scene; step_s: time between poses [s]; end_s: time of the last one [s]; refused: reason of an
+    early end
     """
 
     def __init__(self, view: Preview, duration_s: float, *, as_far_as_it_goes: bool = False) -> None:

@@ -47,7 +47,7 @@ class TrialMoment:
     true: position of the focus on the hand [m]; believed: its position estimated from the tracker; sounding: position
         of the focus of the sound, NaN if there is none; array frame, shapes (3,)
     age_s: time since the sample of this sound [s]; frame: its number; level: mean amplitude of the drive, 0..1
-    pressures: at `true`, NaN if the level is too low to compare
+    pressures: pressures at `true`, NaN if the level is too low to compare
     """
 
     time_s: float
@@ -63,7 +63,7 @@ class TrialMoment:
 class TrueSound:
     """The sound of a trial over time.
 
-    number: of the followed stimulus; its first focus if it has several
+    number: number of the followed stimulus; its first focus if it has several
     flight: whether the flight time of sound to the hand is included
     """
 
@@ -132,7 +132,7 @@ class TrueSound:
     def moment(self, time_s: float, due_times: Sequence[float], drives: Drives, loudest: float) -> TrialMoment | None:
         """Return the sound at the hand at a time [s]; None before the first frame.
 
-        due_times: of all frames; loudest: highest level of all frames, 0..1
+        due_times: due times of all frames; loudest: highest level of all frames, 0..1
         """
         emitted_s = time_s - self.flight_s(self.focus(time_s, time_s))
         found = drives.at(emitted_s)

@@ -35,7 +35,8 @@ class Latency:
     """Time from the sending of a sample until the board emits its frame, statistics over a loop.
 
     frames, dropped: numbers of sent frames, and of frames due but not sent; samples: number received
-    p50_ms, p95_ms, largest_ms: of the latency [ms]; fit_ms: median time to fit the hand to a sample [ms]
+    p50_ms, p95_ms, largest_ms: median, 95th percentile and largest latency [ms]; fit_ms: median time to fit the hand
+    to a sample [ms]
     line_ms: time of a frame on the line [ms]
     """
 

@@ -34,7 +34,8 @@ FIT_S = 5e-3
 class Live:
     """Source of tracker samples, and pose of the tracker.
 
-    host, port, by: of the socket, port 0 for any free one; align: file of `palmfield track align`; None: the origin of
+    host, port, by: address and protocol of the socket, port 0 for any free one; align: file of `palmfield track
+    align`; None: the origin of
         the tracker is that of the scene; up: axis of the tracker that points up
     wait_s: longest wait for the first sample [s]; on_listening: called with the address once the socket listens
     """
@@ -66,7 +67,7 @@ class LivePlayed:
 
     motion: name of the scene's palmfield.motion; stream: valid samples in the tracker frame
     start_s: time 0 of the tracker, in the time of the trial [s]
-    notes: on the samples (with the first invalid ones), on the fit of the hand, and on silent frames
+    notes: notes on the samples (with the first invalid ones), on the fit of the hand, and on silent frames
     times: when frames were due [s]
     """
 
@@ -92,7 +93,7 @@ def play_live(
     """Let a board follow a tracked hand for `duration_s` [s], in real time.
 
     tracker: its latency and extrapolation; ahead_s None: to the middle of the frame
-    number: of the followed stimulus; port: of a board, by default a virtual one
+    number: number of the followed stimulus; port: port of a board, by default a virtual one
     While the hand is lost frames are silent. Ctrl-C ends it early. Raises SceneError if no hand is seen in time, or a
     hand of the other side; DeviceError for an address or a port that cannot be opened.
     """

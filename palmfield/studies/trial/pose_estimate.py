@@ -26,8 +26,9 @@ MOST_AHEAD = 10_000
 class Tracker:
     """A tracker and the treatment of its samples.
 
-    rate_Hz: samples per second, 0 for one at each call; latency_s: from the moment of a sample to its arrival [s]
-    noise_m: of each coordinate, standard deviation [m]; seed: of the noise
+    rate_Hz: samples per second, 0 for one at each call; latency_s: latency from the moment of a sample to its arrival
+    [s]
+    noise_m: noise of each coordinate, standard deviation [m]; seed: seed of the noise
     ahead_s: extrapolation beyond the last sample [s], 0 for none; None: to the middle of the time for which the frame
         will sound
     """

@@ -52,7 +52,7 @@ class Compared:
     """A recording compared with the computed signal at its position, aligned in time.
 
     shift_s: delay of the recording relative to the computed signal; overlap_s: time for which both exist
-    rms: of the difference, relative to the rms of the computed signal; correlation: without means
+    rms: rms of the difference, relative to the rms of the computed signal; correlation: without means
     ratio: recorded over computed amplitude, by least squares; band: range of the ratio for all p0 within its range if
         all other parameters are right (ARP and motion are quadratic in p0)
     """

@@ -47,7 +47,7 @@ FILES = "sent.jsonl", "course.csv", "trial.json", "trial.png"
 class Trial:
     """Result of a trial.
 
-    numbers: of the whole trial; moments: results over time; sent: frames sent to the board
+    numbers: numbers of the whole trial; moments: results over time; sent: frames sent to the board
     skin, skin_ideal: motion of the skin with and without latency, rounding and calibration error, None if not requested
     compared: comparison with a recording; files: written, by name; interrupted: whether Ctrl-C ended it early
     """
@@ -88,7 +88,7 @@ def trial(
     """Simulate tracker, board and hand of a scene in closed loop, and report error of the focus and loss of pressure.
 
     board, keys: as in `palmfield.load`; port: as in `palmfield.studies.trial.sending.send`
-    tracker: by default 90 Hz, 10 ms late, predicted to the middle of each frame
+    tracker: simulated tracker (default: 90 Hz, 10 ms late, predicted to the middle of each frame)
     live: source of tracker samples that replace the motion of the scene; always in real time
     truth: calibration file of the true transducers, if they differ from the scene
     skin: whether the skin is stepped; flight: whether the flight time of sound to the hand is included
@@ -138,7 +138,8 @@ def trial(
 
 
 class _Done(NamedTuple):
-    """Frames sent, and the course for which they were sent. times: when frames were due [s]; notes: on the tracker
+    """Frames sent, and the course for which they were sent. times: when frames were due [s]; notes: notes on the
+    tracker
 
     keys: keys with which the scene repeats its motion
     """
@@ -151,7 +152,7 @@ class _Done(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """Settings of a trial; see `trial`. log: of frames; show_stage: shows the task and its progress"""
+    """Settings of a trial; see `trial`. log: log of frames; show_stage: shows the task and its progress"""
 
     tracker: Tracker
     duration_s: float

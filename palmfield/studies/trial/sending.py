@@ -90,7 +90,7 @@ class Sent:
     late_s: largest delay of the last byte of a frame on the line [s]; flags: errors reported by a virtual board, in
     words
     interrupted: whether Ctrl-C ended it early; end_s: time of the end [s]
-    zero_s: time 0 of the trial on the clock of the sender [s]; notes: on the sending, in words
+    zero_s: time 0 of the trial on the clock of the sender [s]; notes: notes on the sending
     """
 
     frames: list[SentFrame] = field(default_factory=list)
@@ -139,10 +139,11 @@ def send(
 ) -> Sent:
     """Make and send frames for rising due times [s]; of several due frames the newest is sent.
 
-    port: of a board; VIRTUAL: a virtual board in real time; None: a virtual twin that does not wait, so that a trial
+    port: port of a board; VIRTUAL: a virtual board in real time; None: a virtual twin that does not wait, so that a
+    trial
         is fast and exactly repeatable
     duration_s: duration of the last frame [s]; log: is closed at the end; on_progress: called with the time of the
-        trial [s]; limits: of the sound energy; beyond them the player becomes silent
+        trial [s]; limits: limits of the sound energy; beyond them the player becomes silent
     The emission of a real board is computed by its twin from the bytes and their times on the line. Ctrl-C ends it
     early; the board is off at the end. Raises DeviceError if the port cannot be opened or is lost, and for a port on a
     system without POSIX.

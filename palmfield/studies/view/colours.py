@@ -25,7 +25,7 @@ AT_REST = (int(MOTION[128, 0]), int(MOTION[128, 1]), int(MOTION[128, 2]))
 
 @dataclass(frozen=True)
 class Scale:
-    """A colour scale. table: 256 colours, (256, 4); low, high: its ends, in `unit`; factor: from SI to `unit`"""
+    """A colour scale. table: 256 colours, (256, 4); low, high: its ends, in `unit`; factor: factor from SI to `unit`"""
 
     title: str
     table: NDArray[np.uint8]

@@ -105,7 +105,7 @@ class Head:
 
 
 class Refused(Exception):
-    """A connection that is not allowed. status, words: of the answer; headers: additional headers"""
+    """A connection that is not allowed. status, words: status and text of the answer; headers: additional headers"""
 
     def __init__(self, status: http.HTTPStatus, words: str, headers: str = "") -> None:
         super().__init__(words)

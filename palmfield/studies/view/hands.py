@@ -38,7 +38,7 @@ class Offset:
 class Hands:
     """The scripted hands of a scene. Their offsets are kept when the scene is rebuilt.
 
-    sliders: of all hands; offsets: by instance of palmfield.motion
+    sliders: sliders of all hands; offsets: offsets by instance of palmfield.motion
     """
 
     def __init__(self, sim: Simulation) -> None:

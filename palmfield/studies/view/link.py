@@ -20,7 +20,7 @@ class Link(Closing):
 
     Separate threads send and receive, so that a page that does not respond cannot block the simulation.
 
-    address: for the browser
+    address: address for the browser
     """
 
     def __init__(self, place: Address) -> None:

@@ -37,7 +37,7 @@ class Address(NamedTuple):
 class Slider(NamedTuple):
     """A slider for one number.
 
-    folder: its heading; low, high, step, value: in `unit`; scale: from the SI unit to `unit`
+    folder: its heading; low, high, step, value: numbers in `unit`; scale: scale from the SI unit to `unit`
     """
 
     place: Place
@@ -63,9 +63,10 @@ class Pose(NamedTuple):
 class SceneShown(NamedTuple):
     """Parts that are constant until the scene is rebuilt.
 
-    body_faces: of the closed bodies, (m, 3) each; skins: names; skin_faces: (f, 3) each; pose: the first pose
+    body_faces: body faces of the closed bodies, (m, 3) each; skins: names; skin_faces: (f, 3) each; pose: the first
+    pose
     transducer_directions: unit vectors, (N, 3); transducer_radius: [m]
-    no_pose: why the hand has no sliders, empty if it has some; timestep_s: of MuJoCo [s]
+    no_pose: why the hand has no sliders, empty if it has some; timestep_s: timestep of MuJoCo [s]
     """
 
     name: str
@@ -88,7 +89,7 @@ class Moment(NamedTuple):
     pose: None if no part has moved since the last message
     drive: commanded drive of the transducers, (N,); foci: (m, 3), none in silence
     solvers: stepper of each skin; recording: folder, or empty
-    displacement, arp: of each skin along the outward normal [m] and [Pa], (S,), if requested
+    displacement, arp: displacement along the outward normal [m] and ARP [Pa] of each skin, (S,), if requested
     """
 
     time_s: float
@@ -116,7 +117,7 @@ class Level(NamedTuple):
 
 class SkinReplay(NamedTuple):
     """The last periods of a skin. displacement along the outward normal [m] and arp [Pa]: (k, S) each
-    rms: of the displacement about its mean [m], (S,); levels: by observer"""
+    rms: rms of the displacement about its mean [m], (S,); levels: levels by observer"""
 
     displacement: Float32
     arp: Float32
@@ -159,7 +160,7 @@ FromSimulation = SceneShown | Moment | Replay | Notice | Values | End
 
 
 class Ready(NamedTuple):
-    """The page is available. address: for the browser; or failed: the reason"""
+    """The page is available. address: address for the browser; or failed: the reason"""
 
     address: str
     failed: str = ""

@@ -114,7 +114,7 @@ class SkinNode:
 
 
 class Page:
-    """The page, in its own process. address: for the browser"""
+    """The page, in its own process. address: address for the browser"""
 
     def __init__(self, talk: Connection, place: messages.Address) -> None:
         """Raises OutputError if it cannot listen."""

@@ -198,7 +198,7 @@ def ringing(body: Slab, band_Hz: float) -> float:
 class _DiscProblem:
     """The data that all resolutions share.
 
-    share: pressure of each harmonic per peak; dropped: of those left out; path: mean error of its samples
+    share: pressure of each harmonic per peak; dropped: share of the harmonics left out; path: mean error of its samples
     beyond: whether its reduced models are larger than their tolerance takes
     """
 

@@ -54,8 +54,8 @@ WALL_STEP_m = 5e-4
 class _Field:
     """The waves of a slab under spots of one width.
 
-    slab: of the shape of the subclass. fwhm_m: width of the spot [m].
-    tolerance: of the cut of short waves and of the modes, for which modes_tolerance may give another value.
+    slab: slab of the shape of the subclass. fwhm_m: width of the spot [m].
+    tolerance: tolerance of the cut of short waves and of the modes, for which modes_tolerance may give another value.
     horizon_s: last requested time [s]. speed_m_s: largest speed of the spot. threads: None for all cores.
     Raises SceneError for another shape and sizes that are not above 0.
     """

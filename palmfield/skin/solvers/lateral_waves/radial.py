@@ -29,7 +29,8 @@ MOST_LEVELS = 24
 class RadialRule:
     """Integral over k of f(k) as sum weights f(wavenumbers).
 
-    wavenumbers, weights: [rad/m], shape (m,); modes: of the face at each; error: estimate, relative to the integral
+    wavenumbers, weights: [rad/m], shape (m,); modes: modes of the face at each; error: estimate, relative to the
+    integral
     panels: ends of the panels [rad/m]
     """
 

@@ -14,8 +14,8 @@ SUDDEN_1_S = 2.0 * math.pi * 500.0
 
 @dataclass(frozen=True)
 class Resolution:
-    """Resolution of a solution. tolerance: of each single part (wavenumbers, angles, modes, cut), relative; degree:
-    initial polynomial degree.
+    """Resolution of a solution. tolerance: tolerance of each single part (wavenumbers, angles, modes, cut), relative;
+    degree: initial polynomial degree.
     per_radian: further degrees per radian of wave through half a sheet; pace_1_s: largest rate of change of the load;
     speed_m_s: its largest speed"""
 

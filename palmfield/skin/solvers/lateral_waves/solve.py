@@ -57,8 +57,8 @@ class Run:
 def solve_lateral_waves(problem: SkinProblem, *, tolerance: float | None = None, threads: int | None = None) -> Motion:
     """Return the displacement and velocity of the face of a slab at points and times; see `refusal_lateral_waves`.
 
-    tolerance: of wavenumbers, angles, depth modes and cut, each; with it there is no refinement.
-    threads: on the CPU; None takes all cores.
+    tolerance: tolerance of wavenumbers, angles, depth modes and cut, each; with it there is no refinement.
+    threads: number of threads on the CPU; None uses all cores.
     The error is estimated by a run with a fifth of the tolerance, and one wavenumber more on a disc or box, at up to
     four of the points. For a snapshot (fewer than eight times, more than 32 points) it is estimated by a run with a
     third, over 200 of them together.
@@ -166,8 +166,8 @@ def run(
 ) -> Run:
     """Return one solution at one tolerance.
 
-    panels: of a coarser run, to begin with; farther: whether it includes one wavenumber of the body beyond the spot, so
-    that a run with the same tolerance or a somewhat larger one has fewer of them
+    panels: panels of a coarser run, to begin with; farther: whether it includes one wavenumber of the body beyond the
+    spot, so that a run with the same tolerance or a somewhat larger one has fewer of them
     """
     line = timeline(load, requested)
     assert line is not None

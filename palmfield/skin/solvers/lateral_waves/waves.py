@@ -20,9 +20,10 @@ GRID_FROM = 64
 
 @dataclass(frozen=True)
 class WaveSet:
-    """A set of waves. modes: in depth, of each group of waves; group: of each wave, shape (n,); weights: shape (n,).
+    """A set of waves. modes: modes in depth, of each group of waves; group: group of each wave, shape (n,); weights:
+    shape (n,).
     vectors: k [rad/m], shape (n, 2), of plane waves; axial waves have (k, 0).
-    centre: of axial waves [m], shape (2,); None for plane ones.
+    centre: centre of axial waves [m], shape (2,); None for plane ones.
     """
 
     modes: tuple[FaceModes, ...]
@@ -94,7 +95,7 @@ def mirrored(points: Float, size_m: tuple[float, float]) -> list[tuple[Float, Fl
 def at_points(waves: WaveSet, part: slice, amplitude: Complex, points: Float) -> Float:
     """Return the sum of the waves of a part of the set at points (p, 2): vectors, shape (rows, 2, p, 3).
 
-    amplitude: by row and wave the normal and lateral displacement and velocity, shape (rows, n, 4)
+    amplitude: normal and lateral displacement and velocity by row and wave, shape (rows, n, 4)
     """
     rows = len(amplitude)
     weighted = amplitude * waves.weights[part, None]

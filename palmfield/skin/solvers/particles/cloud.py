@@ -30,7 +30,7 @@ class Cloud:
 
     points: rest positions [m], shape (n, 3). mass: [kg], (n,).
     free: projector on the directions in which each may move, (n, 3, 3).
-    materials: one for each law. law: of each site, (s,). owner: particle of each site, rising, (s,).
+    materials: one for each law. law: law of each site, (s,). owner: particle of each site, rising, (s,).
     volume: [m^3], (s,). site_start: first site of each particle, and their number, (n + 1,).
     count: pairs of each site, (s,). neighbour: other particle, (s, k). offset: X_j - X_s [m], (s, k, 3).
     area: a_sj [m^2], (s, k, 3). spring: weight of a pair against the gradient of its site [m], (s, k).

@@ -131,7 +131,7 @@ class Particles:
     ) -> None:
         """Take `rows` steps, one for each row of a table of pressures [Pa] from `first` on.
 
-        reader: of points, before each step
+        reader: reader of points, before each step
         """
         sites = run_kernel(
             kernels.site_forces, dim=len(self.cloud.owner), inputs=self._site_inputs(), device=self.device,

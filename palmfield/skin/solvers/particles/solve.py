@@ -50,7 +50,7 @@ def solve_particles(
 
     The accuracy sets the spacing of the particles of a slab where spacing_m [m] is None. The particles of a layer are
     the vertices of its patch, and spacing_m sets its levels only.
-    step_s, follower: as run_particles.
+    step_s, follower: as in run_particles.
     The spot of a layer is measured in the x and y of the frame of the patch.
     The error of a slab is from a second run with particles COARSER times as far apart, at ORDER, but at least half of
     law_error (the difference may pass through 0), and all of it where the spot reaches the sides. That of a layer is

@@ -55,7 +55,8 @@ CORE = 0.45
 class Plan:
     """Plan of a mesh. order: N; size_m: width of the elements under the load [m]; deep: elements through each sheet.
     watched_m: box around the path of the load and the requested points, along x and y, shape (2, 2).
-    margin_m: from there to the start of the sponge of an endless body [m]. sponge_m: width of the sponge [m], or 0.
+    margin_m: margin from there to the start of the sponge of an endless body [m]. sponge_m: width of the sponge [m],
+    or 0.
     """
 
     order: int

@@ -30,7 +30,7 @@ ROUNDS = 60
 class Layout:
     """Places of element nodes in the flat arrays of positions.
 
-    at: position by element and node, shape (E, n^3); slot, element: by position, node and element (the padding too)
+    at: position by element and node, shape (E, n^3); slot, element: node and element by position (the padding too)
     count: positions; padded: elements with padding, at least one of it; spare: a position of that; gpu: for a GPU
     """
 
@@ -60,7 +60,7 @@ class Model:
     """Masses, stiffness and constraints of a solid of sheets, on a device.
 
     precision: "float32" or "float64" of the state and the elements
-    mass: by node [kg], shape (nodes,); conn: node by position
+    mass: mass by node [kg], shape (nodes,); conn: node by position
     Raises SceneError with the place [m] of an element that is flat or inside out.
     """
 
@@ -156,7 +156,7 @@ class Model:
     ) -> Any:
         """Internal forces by position into `force`, that of the model by default, now or as a recorded launch.
 
-        reading: as hexa.element_forces
+        reading: as in hexa.element_forces
         """
         layout, order = self.layout, self.solid.order
         block = max(hexa.BLOCK, hexa.places(order, True))
@@ -177,7 +177,7 @@ class Model:
     def largest_rate(self, factors: list[float], start: Any) -> float:
         """Largest eigenvalue of M^-1 K over all elements [1/s^2], a bound of the assembled one (Irons & Treharne 1971).
 
-        factors: by sheet, on the relaxed stiffness of the relaxing part
+        factors: factors by sheet, on the relaxed stiffness of the relaxing part
         start: displacement by position, moved towards the eigenvectors
         """
         own = self.ints(np.arange(self.layout.count))

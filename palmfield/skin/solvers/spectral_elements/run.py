@@ -86,7 +86,7 @@ class Stepper:
     sums of two neighbouring v and y: it never grows. It is positive definite if M - h^2 / 4 [K + sum g tanh(x / 2) /
     (x / 2) K_d] - h t K_d / 2 is so, x = h / tau; that gives the stable step.
 
-    step_s: [s]. table: the load at each step. points: of the output.
+    step_s: [s]. table: the load at each step. points: points of the output.
     target: numbers of steps after which to read, rising.
     graph_steps: number of steps in one CUDA graph.
     """
