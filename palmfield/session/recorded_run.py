@@ -298,7 +298,6 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
     try:
         with interrupts_delayed() as check:
             try:
-                recorder.end_s = sim.time + steps * sim.model.opt.timestep
                 recorder.start()
                 for _ in range(steps):
                     sim.step()

@@ -37,8 +37,6 @@ TOGETHER = 64
 """Largest number of MuJoCo steps whose data are computed together."""
 WAITING_BYTES, WAITING_s = 8_000_000, 2.0
 """Largest size of the motion of the skins in them, and longest time that they wait: a killed process loses them."""
-AHEAD = 32
-"""Number of coming steps that a device may compute together while nothing moves."""
 ROWS = 64
 """Number of substeps whose motion is computed in one product."""
 FEW = 112
@@ -114,7 +112,7 @@ class Recorder:
 
     loudest: loudest moment by skin, the moment of the highest ARP so far, None without sound
     peak_drive: largest commanded amplitude of each transducer so far, relative to full drive, shape (N,)
-    begun_s, end_s: MuJoCo time at the start, and at the end if it is known before the start [s]
+    begun_s: MuJoCo time at the start [s]
     turns: for each stimulus, the times at which the phases between its foci jumped
     """
 
@@ -137,7 +135,7 @@ class Recorder:
         self._together = 1 if runtime.work.emission.holds else min(together, 1 + WAITING_BYTES // size)
         self._waiting: list[Recorded] = []
         self._written_at = time.monotonic()
-        self.begun_s, self.end_s = 0.0, np.inf
+        self.begun_s = 0.0
         self._sensors = [
             (sensor.name, sensor.data) for skin in runtime.binding.skins for sensor in world.sensors(skin.instance)
         ]
@@ -157,13 +155,10 @@ class Recorder:
         block = self._block(np.array([now_s]), posed, emitted_at(course, np.array([0])), motions)
         self.sink.append(block)
         self.runtime.steps.observer = self._observe
-        if self._together > 1 and self.runtime.unseen:
-            self.runtime.steps.look_ahead(AHEAD, self.end_s)
 
     def stop(self) -> None:
         """Write the last steps, and end the observation."""
         self.runtime.steps.observer = None
-        self.runtime.steps.look_ahead(1)
         self.runtime.work.observe, self.runtime.work.in_coordinates = (None,) * len(self.model.skins), False
         self._write()
 

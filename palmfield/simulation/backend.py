@@ -73,12 +73,9 @@ class Backend(ABC):
     observer: receives the trace of each step of each group of worlds.
     in_graph: whether a graph computes steps. Its sensors must be set before the first step, and it keeps the ARP of
         bodies.
-    most, end_s: largest number of coming steps that may be computed together, while their results are only recorded,
-        and end of the last [s].
     """
 
     in_graph = False
-    most, end_s = 1, np.inf
 
     def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState):
         self.models, self.works, self.state = models, works, state

@@ -4,7 +4,7 @@ Worlds whose sound is one number times one drive are computed together, the othe
 same form of drives, forces and loads. Data for later steps are stored under serial numbers of poses and drives.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from operator import call
 from typing import Any, NamedTuple, TypeVar
@@ -131,13 +131,7 @@ class HostBackend(Backend):
 
     def place(self, frames: Frames, free: Bool, t0: float) -> Rows:
         posed = frames.posed(free)
-        for world, now in posed.items():
-            self._posed[world], self._poses[world] = now, now.serial
-        self._present = None
-        self._means.clear()
-        for singles, pressed in zip(self._singles, self._pressed, strict=True):
-            singles.clear()
-            pressed.clear()
+        self._begin(posed)
         self._apart = self.smooth.begin(posed, t0)
         for world in self._apart:
             emission = self.works[world].emission
@@ -147,6 +141,16 @@ class HostBackend(Backend):
             return self.smooth.joined
         apart = np.array(self._apart, np.intp)
         return np.sort(np.concatenate([self.smooth.joined, apart])) if self._several else apart
+
+    def _begin(self, posed: Mapping[int, PosedScene]) -> None:
+        """Take the poses of some worlds, and drop the sound of the last step."""
+        for world, now in posed.items():
+            self._posed[world], self._poses[world] = now, now.serial
+        self._present = None
+        self._means.clear()
+        for singles, pressed in zip(self._singles, self._pressed, strict=True):
+            singles.clear()
+            pressed.clear()
 
     def hold(self, posed: PosedScene, t0: float) -> None:
         """Use one pose of the only world for several steps from t0 [s] on."""
@@ -273,11 +277,14 @@ class HostBackend(Backend):
 
     def _probe(self, world: int, skin: int, place: SensorPlace, one: Sounding) -> float:
         """Return the ARP at a sensor [Pa] due to the drive of a world."""
-        posed = self._posed[world]
+        posed, radiation = self._posed[world], self.works[world].radiation
+        where = self._sensor_points(posed, skin, place)
+        return float(radiation.at(posed, skin, "probe", *where, one.unit(world)).arp[0])
+
+    def _sensor_points(self, posed: PosedScene, skin: int, place: SensorPlace) -> tuple[Float, Float]:
+        """Return the point of a sensor in a pose [m] and its outward normal, array frame, shapes (1, 3)."""
         body = posed.bodies[self.models[0].skins[skin].body]
-        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
-        radiation = self.works[world].radiation
-        return float(radiation.at(posed, skin, "probe", points, normals, one.unit(world)).arp[0])
+        return body.moved(place.probe.closest, place.probe.normals, place.binding)
 
     # -- its end -------------------------------------------------------------------------------------------------------
 

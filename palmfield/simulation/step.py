@@ -124,14 +124,6 @@ class Steps:
             for backend in self.backends:
                 backend.leave_out(world)
 
-    def look_ahead(self, most: int, end_s: float = np.inf) -> None:
-        """Let a backend compute up to `most` coming steps together, none after a time [s]; 1 ends it, and updates the
-        state."""
-        for backend in self.backends:
-            backend.most, backend.end_s = most, end_s
-        if most == 1:
-            self.fetch()
-
     def watch(self, skin: int, place: SensorPlace) -> None:
         """Compute the readings of a sensor here at the beginning of each step. Call it before the first step."""
         for backend in self.backends:

@@ -30,7 +30,6 @@ for line in sys.stdin:
     steps, *together = map(int, line.split())
     sim.reset()
     recorder = recorder_of(sim, MemoryStore(initial_block(sim), result_attributes(sim)), *together)
-    recorder.end_s = steps * sim.model.opt.timestep
     recorder.start()
     wall, processor = time.perf_counter(), time.process_time()
     for _ in range(steps):

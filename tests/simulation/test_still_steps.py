@@ -12,9 +12,9 @@ import pytest
 import palmfield
 from palmfield.outputs.store import MemoryStore
 from palmfield.session import recorded_run
-from palmfield.session.recorder import AHEAD, TOGETHER
+from palmfield.session.recorder import TOGETHER
 from palmfield.simulation import step
-from palmfield.simulation.still_steps import StillSteps
+from palmfield.simulation.still_steps import NOBODY, STEPS, StillSteps
 
 CIRCLE: dict[str, object] = {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 100} | dict.fromkeys(
     ("modulation", "am_quantity", "am_frequency_Hz", "am_depth")
@@ -25,16 +25,18 @@ KEYS: dict[str, dict[str, Any]] = {
     "circle": {"stimulus": CIRCLE},
     "circle that rings": {"stimulus": CIRCLE, "array": {"response": "on"}},
     "stops": {"stimulus": CIRCLE | {"stop_s": 0.05}, "array": {"response": "on"}},
+    "modes": {"stimulus": CIRCLE, "skin": {"solver": "modal"}},
+    "whole layer": {"stimulus": CIRCLE, "array": {"response": "on"}, "skin": {"solver": "wedges"}},
 }
-STEPS = 60
+RUN = 60
 
 
 @pytest.fixture
 def opened(small_scene: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> Callable[..., palmfield.Simulation]:
-    """Opens a scene with a reduced model whose body a mocap body carries, as on a GPU but on the CPU."""
+    """Opens a scene whose body a mocap body carries, as on a GPU but on the CPU; by default with a reduced model."""
 
     def made(**keys: Any) -> palmfield.Simulation:
-        scene = small_scene(**keys | {"skin": {"accuracy": 0.3, "solver": "reduced"}})
+        scene = small_scene(**keys | {"skin": {"accuracy": 0.3, "solver": "reduced"} | keys.get("skin", {})})
         plain = scene.with_name("plain.xml")
         text = re.sub(r"<joint[^>]*/>", "", plain.read_text())
         plain.write_text(text.replace('<body name="pad"', '<body name="pad" mocap="true"'))
@@ -56,7 +58,7 @@ def blocks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     def seen(self: StillSteps, *given: Any) -> Any:
         block = computed(self, *given)
         if block is not None:
-            sizes.append(len(block.starts) - 1)
+            sizes.append(len(block.means))
         return block
 
     monkeypatch.setattr(StillSteps, "_computed", seen)
@@ -64,23 +66,31 @@ def blocks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def recorded(
-    sim: palmfield.Simulation, together: int, steps: int = STEPS, between: Callable[[int], object] = lambda _: None
+    sim: palmfield.Simulation, steps: int = RUN, between: Callable[[int], object] = lambda _: None
 ) -> dict[str, Any]:
-    """The result of a recorded run from reset, by variable, and the state after it. between: called after each step."""
+    """The result of a recorded run from reset, by variable, and its states. between: called after each step."""
     sim.reset()
     store = MemoryStore(recorded_run.initial_block(sim), recorded_run.result_attributes(sim))
-    recorder = recorded_run.recorder_of(sim, store, together)
-    recorder.end_s = steps * sim.model.opt.timestep
+    recorder = recorded_run.recorder_of(sim, store, TOGETHER)
     recorder.start()
+    emitted, skins = [], []
     for number in range(steps):
         sim.step()
         recorder.step()
+        emitted.append(sim.runtime.state.emission())
+        skins.append(sim.skin().normal_displacement)
         between(number)
     recorder.stop()
     tree = store.finish({}, complete=True)
     values = {f"{node.path}/{name}": part.values for node in tree.subtree for name, part in node.data_vars.items()}
-    state = sim.runtime.state
-    return values | {"emitted": state.emission(), "state": np.concatenate(state.skins, axis=1)[:, 2:]}
+    return values | {"emitted": np.array(emitted), "skins": np.array(skins)}
+
+
+def one_by_one(sim: palmfield.Simulation, monkeypatch: pytest.MonkeyPatch, **given: Any) -> dict[str, Any]:
+    """The same without blocks."""
+    with monkeypatch.context() as patch:
+        patch.setattr(StillSteps, "place", lambda *_: NOBODY)
+        return recorded(sim, **given)
 
 
 def agree(one: dict[str, Any], other: dict[str, Any]) -> None:
@@ -97,53 +107,54 @@ def agree(one: dict[str, Any], other: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("kind", KEYS)
 def test_steps_together_have_the_numbers_of_single_steps(
-    opened: Callable[..., palmfield.Simulation], blocks: list[int], kind: str
+    opened: Callable[..., palmfield.Simulation], blocks: list[int], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     sim = opened(**KEYS[kind])
-    alone = recorded(sim, 1)
+    alone = one_by_one(sim, monkeypatch)
     assert blocks == [] and np.abs(alone["/skin/skin/displacement"]).max() > 0.0
-    together = recorded(sim, TOGETHER)
+    together = recorded(sim)
     # The first step is made alone, and so are those from the block with the jump of the level on
-    assert blocks == ([AHEAD] if kind == "stops" else [AHEAD, STEPS - 1 - AHEAD])
+    assert blocks == [STEPS] * (3 if kind == "stops" else 4)
     agree(together, alone)
 
 
-def test_a_body_that_moves_ends_the_block(opened: Callable[..., palmfield.Simulation], blocks: list[int]) -> None:
-    sim = opened(stimulus=CIRCLE)
-
+def test_a_body_that_moves_ends_the_block(
+    opened: Callable[..., palmfield.Simulation], blocks: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def move(number: int) -> None:
         if number in (10, 30):
             sim.data.mocap_pos[0, 0] += 1e-3 if number == 10 else -1e-3
             mujoco.mj_kinematics(sim.model, sim.data)
 
+    sim = opened(stimulus=CIRCLE)
     with pytest.raises(palmfield.errors.SceneError, match="has moved"):
-        recorded(sim, TOGETHER, between=move)
-    assert blocks == [AHEAD]
+        recorded(sim, between=move)
+    assert blocks == [STEPS]
+    sim = opened(stimulus=CIRCLE, skin={"solver": "modal"})
+    alone = one_by_one(sim, monkeypatch, between=move)
+    blocks.clear()
+    together = recorded(sim, between=move)
+    # After steps 1, 12 (in the new pose), 28, 32 (back) and 48
+    assert blocks == [STEPS] * 5
+    agree(together, alone)
 
 
-def test_a_recording_that_stops_within_a_block_leaves_the_state_of_its_last_step(
-    opened: Callable[..., palmfield.Simulation], blocks: list[int]
+def test_a_run_goes_on_after_a_recording_that_stops_within_a_block(
+    opened: Callable[..., palmfield.Simulation], blocks: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sim = opened(stimulus=CIRCLE, array={"response": "on"})
     states = []
-    for together in (1, TOGETHER):
-        sim.reset()
-        sink = type("Sink", (), {"append": lambda _, block: None})()
-        recorder = recorded_run.recorder_of(sim, sink, together)
-        recorder.start()
-        for _ in range(15):
-            sim.step()
-            recorder.step()
-        recorder.stop()
+    for record in (lambda: one_by_one(sim, monkeypatch, steps=12), lambda: recorded(sim, 12)):
+        record()
         sim.step(3)
         states.append((sim.runtime.state.emission().copy(), sim.skin().normal_displacement.copy()))
-    assert blocks == [AHEAD]
+    assert blocks == [STEPS]
     for one, other in zip(*states, strict=True):
         np.testing.assert_allclose(one, other, 0.0, 3e-6 * np.abs(other).max())
 
 
 def test_a_state_that_other_code_writes_ends_the_block(
-    opened: Callable[..., palmfield.Simulation], blocks: list[int]
+    opened: Callable[..., palmfield.Simulation], blocks: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sim = opened(stimulus=CIRCLE, array={"response": "on"})
 
@@ -151,16 +162,7 @@ def test_a_state_that_other_code_writes_ends_the_block(
         if number == 12:
             sim.runtime.state.set_emission(slice(None), np.zeros_like(sim.runtime.state.emission()))
 
-    alone, together = (recorded(sim, most, between=silence)["/skin/skin/arp"] for most in (1, TOGETHER))
-    assert blocks[0] == AHEAD and len(blocks) == 3
-    np.testing.assert_allclose(together, alone, 0.0, 3e-6 * alone.max())
-
-
-def test_a_callback_sees_the_state_of_each_step(opened: Callable[..., palmfield.Simulation], blocks: list[int]) -> None:
-    sim, seen = opened(), list[float]()
-    mujoco.set_mjcb_control(lambda model, data: seen.append(float(sim.runtime.state.skins[0][0, 2:].sum())))
-    try:
-        recorded(sim, TOGETHER, 8)
-    finally:
-        mujoco.set_mjcb_control(None)
-    assert blocks == [] and len(set(seen)) > 7
+    alone = one_by_one(sim, monkeypatch, between=silence)
+    together = recorded(sim, between=silence)
+    assert blocks == [STEPS] * 4  # steps 1 to 12, then from 13 on
+    agree(together, alone)
