@@ -88,12 +88,13 @@ class Profile:
         self._others: dict[int, _Thread] = {}
         self._begun = self._wall = time.perf_counter()
         self._cpu = time.process_time()
+        self._others_cpu_s = 0.0
         self._counted: set[int] = set()
 
     @property
     def total(self) -> Times:
-        """CPU time of the process, wall time since the beginning, and peak memory, up to the last event."""
-        return Times(self._cpu, self._wall - self._begun, 0.0, 1, peak_bytes())
+        """CPU time of the processes, wall time since the beginning, and peak memory, up to the last event."""
+        return Times(self._cpu + self._others_cpu_s, self._wall - self._begun, 0.0, 1, peak_bytes())
 
     def begin(self, name: str) -> None:
         """Begin a phase of this thread."""
@@ -132,6 +133,21 @@ class Profile:
             for key in self._main.open():
                 self.phases[key].cpu_s += used
                 self.phases[key].wall_s += took
+
+    def own_phases(self) -> dict[tuple[str, ...], Times]:
+        """Return the phases that were measured so far, for the profile of another process."""
+        self.update()
+        return {path: times for path, times in self.phases.items() if path != (BEFORE,)}
+
+    def add_process(self, phases: dict[tuple[str, ...], Times]) -> None:
+        """Add the phases of another process, which were parallel to those of this one."""
+        for path, times in phases.items():
+            own = self.phases.setdefault(path, Times())
+            own.cpu_s += times.cpu_s
+            own.beside_s += times.wall_s
+            own.calls += times.calls
+            own.peak_bytes = max(own.peak_bytes, times.peak_bytes)
+            self._others_cpu_s += times.cpu_s * (len(path) == 1)
 
     def count(self, kind: str, thing: object) -> None:
         """Count the arrays of an object, each once, until they are freed."""

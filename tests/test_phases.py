@@ -10,7 +10,7 @@ import pytest
 
 import palmfield.cli.app as program
 from palmfield.phases import phase
-from palmfield.profile import BEFORE, ELSEWHERE, count_arrays, measured
+from palmfield.profile import BEFORE, ELSEWHERE, Times, count_arrays, measured
 
 
 def work(seconds):
@@ -49,6 +49,21 @@ def test_a_phase_ends_by_an_error():
         with phase("next"):
             pass
     assert ("next",) in profile.phases
+
+
+def test_phases_of_another_process_are_beside_those_of_this_one():
+    with measured() as profile, phase("plots"):
+        work(0.02)
+    other = {("plots",): Times(0.5, 0.7, 0.0, 1, 2**40), ("plots", "a.png"): Times(0.4, 0.6, 0.0, 1, 2**30)}
+    before = profile.total.cpu_s
+    profile.add_process(other)
+    whole = profile.phases["plots",]
+    assert 0.52 <= whole.cpu_s < 0.6 and whole.wall_s < 0.6 and (whole.beside_s, whole.calls) == (0.7, 2)
+    assert whole.peak_bytes == 2**40 and profile.phases["plots", "a.png"].cpu_s == 0.4
+    assert profile.total.cpu_s == pytest.approx(before + 0.5)
+    with measured() as second, phase("late"):
+        pass
+    assert set(second.own_phases()) == {("late",)}
 
 
 def test_a_phase_of_another_thread_is_beside_those_of_the_first():

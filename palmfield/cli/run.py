@@ -79,6 +79,7 @@ def run(
         from palmfield.estimate.estimated_run import checked_kind
         from palmfield.outputs.summary_table import format_summary
         from palmfield.planning.scene_plan import warnings
+        from palmfield.session.recorded_run import drawn_in_second_process
 
         run_scene = palmfield.run
 
@@ -90,6 +91,8 @@ def run(
         raise SceneError("--strict needs an error estimate; give --estimate quick or full")
     kinds = [] if no_plots else None if plots is None else [kind for kind in plots.split(",") if kind]
     changed, out = options.parsed_keys(keys), out or Path("out") / scene.stem
+    if kinds is None or not no_usd:
+        context.with_resource(drawn_in_second_process())
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
         with phase("reading and building the scene"):
             simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=changed)

@@ -22,7 +22,7 @@ from palmfield.outputs.frames import arrays_of, bodies, foci_at, in_world, loude
 from palmfield.outputs.schema import has_records, instances
 from palmfield.outputs.style import linear_rgb, save, style
 from palmfield.threads import cores, share
-from palmfield.types import Float, Int
+from palmfield.types import Float
 from warp_kernels import raycast
 
 DPI = 120
@@ -307,7 +307,7 @@ def cast(
         *size,
     ]
 
-    def launch(kernel: Any, numbers: Int, rays: int, arguments: list[Any], result: Any) -> None:
+    def launch(kernel: Any, numbers: NDArray[np.integer], rays: int, arguments: list[Any], result: Any) -> None:
         # A launch on the CPU uses one thread, so bands of pixels or vertices are distributed to all threads
         bands, size = [], BAND_RAYS // rays
         for start in range(0, len(numbers), size):

@@ -4,14 +4,16 @@ import json
 import logging
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
+from multiprocessing.connection import Connection
 from pathlib import Path
+from traceback import format_exception
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,12 +26,13 @@ from palmfield.outputs.schema import MUJOCO_SCENE, group
 from palmfield.outputs.store import MemoryStore, Store, finished_result, open_result, refuse_occupied, write_json
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
-from palmfield.phases import phase
+from palmfield.phases import phase, running
 from palmfield.profile import count_arrays, peak_bytes
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.mujoco_scene import body_poses
 from palmfield.session.open_scene import Source
 from palmfield.session.recorder import TOGETHER, Block, Recorder, Sink, static_arrays, world_with
+from palmfield.session.second_process import SecondProcess, possible
 from palmfield.session.simulation import Simulation
 from palmfield.terminal import bars
 
@@ -55,6 +58,8 @@ PICTURES: tuple[tuple[str, Callable[..., None]], ...] = (
 """Functions of a result and a path, and of an `image` if IN_PARALLEL has the name."""
 IN_PARALLEL: dict[str, Callable[[Any], Any]] = {"scene.png": _scene_image}
 """Images that a thread makes while other pictures are drawn, because ray casting releases the GIL."""
+DRAWING = ("matplotlib.backends.backend_agg", "pxr", "palmfield.outputs.plots", "palmfield.outputs.usd.write")
+"""Modules for these functions, which take half a second to load."""
 CONVENTIONS = {
     "time_factor": "e^{-i w t}: a delay is +phase",
     "pressure": "complex peak amplitude of the incident field [Pa]",
@@ -249,20 +254,104 @@ def draw(
             files |= {f"plots/{path.name}": path for path in drawn.values()}
         except (OutputError, MeasurementError) as error:
             LOG.warning("no picture %s: %s", kind, error)
-    makers = {name: make for name, make in PICTURES if (plots is None if name.endswith(".png") else usd)}
-    made = set[str]()
-    with ThreadPoolExecutor(1, "palmfield-picture") as thread:
-        started = {name: thread.submit(begin, tree) for name, begin in IN_PARALLEL.items() if name in makers}
-        for name, make in sorted(makers.items(), key=lambda one: one[0] in started):
-            bar.update(task, description=f"writing {name}")
-            try:
-                with phase("plots" if name.endswith(".png") else "USD"), phase(name):
-                    make(tree, out / name, **({"image": started[name].result()} if name in started else {}))
+    requested = [name for name, _ in PICTURES if (plots is None if name.endswith(".png") else usd)]
+    order, made = sorted(requested, key=lambda name: name in IN_PARALLEL), set[str]()
+    with closing((_drawn_in_second if _second else _drawn_in_threads)(tree, out, order)) as pictures:
+        for name, failure in pictures:
+            if failure is None:
                 made.add(name)
-            except OutputError as error:
-                LOG.warning("no %s: %s", name, error)
-            bar.advance(task)
-    return files | {name: out / name for name in makers if name in made}
+            elif isinstance(failure, OutputError):
+                LOG.warning("no %s: %s", name, failure)
+            else:
+                raise failure
+            bar.update(task, advance=1, description=f"wrote {name}")
+    return files | {name: out / name for name in requested if name in made}
+
+
+Drawn = Generator[tuple[str, Exception | None], None, None]
+"""Names of pictures, each with the error that prevented it."""
+
+
+def _drawn(tree: xr.DataTree, out: Path, names: Sequence[str], images: Mapping[str, Callable[[], Any]]) -> Drawn:
+    """Draw pictures; images: functions that return the images of those in IN_PARALLEL"""
+    make = dict(PICTURES)
+    for name in names:
+        try:
+            with phase("plots" if name.endswith(".png") else "USD"), phase(name):
+                make[name](tree, out / name, **({"image": images[name]()} if name in images else {}))
+            yield name, None
+        except Exception as error:
+            yield name, error
+
+
+def _drawn_in_threads(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
+    with ThreadPoolExecutor(1, "palmfield-picture") as thread:
+        images = {name: thread.submit(begin, tree).result for name, begin in IN_PARALLEL.items() if name in names}
+        yield from _drawn(tree, out, names, images)
+
+
+def _drawn_in_second(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
+    """Draw in the second process, to which this one sends the images; if it has ended, in this process."""
+    remaining, second = list(names), _second.pop()
+    try:
+        second.talk.send((out, remaining))
+        for name in [name for name in remaining if name in IN_PARALLEL]:
+            second.talk.send(_image_or_error(name, tree))
+        while remaining:
+            with phase("second process"):
+                name, error = second.talk.recv()
+            remaining.remove(name)
+            yield name, error
+        for profile in running[-1:]:
+            profile.add_process(second.talk.recv())
+    except (EOFError, OSError):
+        yield from _drawn_in_threads(tree, out, remaining)
+    finally:
+        second.end(working=bool(remaining))
+
+
+def _draw_for_first(talk: Connection) -> None:
+    """Draw what the first process requests over a connection."""
+    out, names = talk.recv()
+    with finished_result(out / "result.nc") as tree:
+        for name, error in _drawn(tree, out, names, dict.fromkeys(IN_PARALLEL, partial(_received, talk))):
+            if error is not None and not isinstance(error, OutputError):
+                error.add_note("".join(format_exception(error)))
+            talk.send((name, error))
+
+
+def _image_or_error(name: str, tree: xr.DataTree) -> Any:
+    try:
+        return IN_PARALLEL[name](tree)
+    except Exception as error:
+        return error
+
+
+def _received(talk: Connection) -> Any:
+    image = talk.recv()
+    if isinstance(image, Exception):
+        raise image
+    return image
+
+
+_second: list[SecondProcess] = []
+"""The process that draws the next pictures, if there is one."""
+
+
+@contextmanager
+def drawn_in_second_process() -> Iterator[None]:
+    """Let a second process load Matplotlib and OpenUSD during a run in the block, and draw its pictures.
+
+    For programs that own their process; without effect if it cannot be copied, or has loaded them already.
+    """
+    with suppress(OSError):
+        if possible(DRAWING):
+            _second.append(SecondProcess(DRAWING, _draw_for_first))
+    try:
+        yield
+    finally:
+        while _second:
+            _second.pop().end()
 
 
 @phase("preparing")

@@ -46,7 +46,7 @@ def _largest(values: Float, weights: Float, total: float) -> Int:
     """Return the indices of the largest values, from 0 to 1, whose weights add up to less than a total."""
     # Short integers are sorted ten times as fast as floats, which are sorted only where the sum passes the total
     coarse = (-32767.0 * values).astype(np.int16)
-    order = np.argsort(coarse, kind="stable")
+    order: Int = np.argsort(coarse, kind="stable").astype(np.int32)
     added = np.cumsum(weights[order])
     passes = int(np.searchsorted(added, total))
     if passes == len(order):

@@ -1,0 +1,84 @@
+"""A second process that loads modules while this one computes, and then works on request.
+
+It begins as a copy of this process, so that it need not load again what is loaded, and never outlives it.
+"""
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib import import_module
+from multiprocessing import Pipe, get_context
+from multiprocessing.connection import Connection
+from types import FrameType
+
+from palmfield.phases import phase, running
+from palmfield.profile import Profile
+
+STOP_S, THREAD_S = 0.2, 0.05
+"""Time to remove unfinished files, and for the end of a thread [s]."""
+PR_SET_PDEATHSIG = 1
+"""Option of prctl: the signal to this process when its parent ends."""
+
+
+def possible(modules: Sequence[str]) -> bool:
+    """Return whether this process can be copied: it has one thread and has loaded none of the modules."""
+    if sys.platform != "linux" or set(modules) & sys.modules.keys():
+        return False
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread():
+            # The thread of a progress bar that has just ended
+            thread.join(THREAD_S)
+    return threading.active_count() == 1
+
+
+class SecondProcess:
+    """A copy of this process that loads modules, and then calls a function with its end of a connection.
+
+    talk: this end of the connection; it raises EOFError or OSError after the second process has ended
+    """
+
+    def __init__(self, modules: Sequence[str], work: Callable[[Connection], None]) -> None:
+        """Begin the process. Raises OSError if the system has no room for it."""
+        self.talk, other_end = Pipe()
+        arguments = os.getpid(), self.talk, other_end, modules, work
+        self._process = get_context("fork").Process(target=_second, args=arguments, daemon=True)
+        self._process.start()
+        other_end.close()
+
+    def end(self, working: bool = False) -> None:
+        """End the process; working: let it remove unfinished files first, for at most STOP_S."""
+        if working:
+            self._process.terminate()
+            self._process.join(STOP_S)
+        self._process.kill()
+        self._process.join()
+        self.talk.close()
+
+
+def _second(
+    first: int, first_end: Connection, talk: Connection, modules: Sequence[str], work: Callable[[Connection], None]
+) -> None:
+    # Ctrl-C reaches both processes; the first one decides what ends
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _interrupt)
+    first_end.close()
+    running[:] = [Profile()] if running else []
+    with suppress(KeyboardInterrupt, EOFError, OSError):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+        if os.getppid() != first:
+            return
+        with suppress(ImportError), phase("imports"):
+            for module in modules:
+                import_module(module)
+        work(talk)
+        if running:
+            talk.send(running[-1].own_phases())
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise KeyboardInterrupt

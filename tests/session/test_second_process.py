@@ -1,0 +1,144 @@
+"""Pictures drawn in a second process are those of the first, and no second process outlives its command."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
+PRELUDE = """
+import logging, os, signal, sys, time
+from palmfield.estimate.estimated_run import run
+from palmfield.session import recorded_run
+
+scene, out = sys.argv[1:]
+logging.basicConfig()
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+def begin():
+    process = recorded_run._second[0]._process
+    print(process.pid, flush=True)
+    return process
+
+def slow(tree, path):
+    (path.parent / ".unfinished").touch()
+    try:
+        print("drawing", os.getpid(), flush=True)
+        time.sleep(60)
+    finally:
+        (path.parent / ".unfinished").unlink()
+
+def fails(tree, path):
+    raise ValueError("words of a library")
+
+def no_room(tree, path):
+    raise recorded_run.OutputError("no room")
+
+def drawn(**more):
+    return run(scene, out, estimate="none", **more)
+
+"""
+
+
+def started(code, scene, out):
+    command = [sys.executable, "-c", PRELUDE + code, str(scene), str(out)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def ended(code, scene, out):
+    """Output, errors and exit code of a program; its second process must have ended."""
+    process = started(code, scene, out)
+    said, errors = process.communicate(timeout=120)
+    assert gone(int(said.split()[0]))
+    return said, errors, process.returncode
+
+
+def gone(number):
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_pictures_are_those_of_one_process(small_scene, tmp_path):
+    path = small_scene()
+    code = "with recorded_run.drawn_in_second_process():\n    begin()\n    print(*drawn().files)"
+    said, errors, code = ended(code, path, tmp_path / "two")
+    names = ["result.nc", "summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc"]
+    assert said.split()[1:] == names and code == 0 and errors == ""
+    assert started("drawn()", path, tmp_path / "one").wait(timeout=120) == 0
+    for name in names[2:]:
+        assert (tmp_path / "two" / name).read_bytes() == (tmp_path / "one" / name).read_bytes(), name
+
+
+def test_a_run_without_pictures_ends_its_second_process(small_scene, tmp_path):
+    code = "with recorded_run.drawn_in_second_process():\n    begin()\n    print(*drawn(plots=[], usd=False).files)"
+    assert ended(code, small_scene(), tmp_path)[0].split()[1:] == ["result.nc", "summary.json"]
+
+
+def test_errors_are_those_of_one_process(small_scene, tmp_path):
+    code = """
+recorded_run.PICTURES = (("pressure.png", no_room), ("displacement.png", fails))
+with recorded_run.drawn_in_second_process():
+    begin()
+    drawn()
+"""
+    _, errors, code = ended(code, small_scene(), tmp_path)
+    assert code == 1 and "no pressure.png: no room" in errors and "ValueError: words of a library" in errors
+    assert "in fails" in errors, "the place in the second process is missing"
+
+
+def test_the_first_process_draws_what_the_second_one_left(small_scene, tmp_path):
+    code = """
+with recorded_run.drawn_in_second_process():
+    begin().kill()
+    print(*drawn(usd=False).files)
+"""
+    said, _, code = ended(code, small_scene(), tmp_path)
+    assert code == 0 and said.split()[-3:] == ["pressure.png", "displacement.png", "scene.png"]
+
+
+SLOW = """
+recorded_run.PICTURES = (("pressure.png", slow),)
+with recorded_run.drawn_in_second_process():
+    begin()
+    drawn()
+"""
+
+
+def interrupted(small_scene, out, number):
+    """Send a signal to the first process while the second one draws; return both, and the time of the signal."""
+    process = started(SLOW, small_scene(), out)
+    second = int(process.stdout.readline())
+    assert process.stdout.readline() == f"drawing {second}\n"
+    process.send_signal(number)
+    return process, second, time.monotonic()
+
+
+def test_ctrl_c_ends_both_processes_at_once(small_scene, tmp_path):
+    process, second, began = interrupted(small_scene, tmp_path / "out", signal.SIGINT)
+    assert "KeyboardInterrupt" in process.communicate(timeout=20)[1]
+    assert time.monotonic() - began < 3.0 and gone(second)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"result.nc", "summary.json"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_killed_command_takes_its_second_process_along(number, small_scene, tmp_path):
+    _, second, began = interrupted(small_scene, tmp_path, number)
+    while not gone(second) and time.monotonic() - began < 20.0:
+        time.sleep(0.01)
+    assert gone(second) and not (tmp_path / ".unfinished").exists()
+
+
+def test_a_process_with_threads_or_pictures_is_not_copied(monkeypatch):
+    from palmfield.session import second_process
+
+    assert not second_process.possible(["palmfield"])
+    with monkeypatch.context() as changed:
+        changed.setattr(second_process.threading, "active_count", lambda: 2)
+        assert not second_process.possible(["no_such_module"])
