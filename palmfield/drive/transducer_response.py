@@ -92,6 +92,11 @@ class TransducerResponse:
         """Whether flight times differ."""
         return bool(self.delays_s.any())
 
+    @cached_property
+    def alike(self) -> bool:
+        """Whether all transducers respond alike: then one drive at any levels emits multiples of that drive."""
+        return not self.on or (not self.delayed and self.stepper.alike)
+
 
 def transducer_response(
     stimulus: StimulusConfig,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import mujoco
 
-from palmfield.config import Config, known_keys, parse
+from palmfield.config import Config, known_keys
 from palmfield.errors import PalmfieldError, explained
 from palmfield.mujoco_host.mujoco_view import DataView, ModelView
 from palmfield.mujoco_host.structs import Plugin, library
@@ -163,13 +163,6 @@ def _cut_off(world: World, module: str) -> None:
     _fail(world, module, KeyboardInterrupt(text))
 
 
-def settings_of(module: type[Module], model: ModelView, instance: int) -> Config:
-    """Return the typed keys of a plugin instance; SceneError as in `palmfield.config.parse`."""
-    name = next(n for i, _, n in model.instances() if i == instance)
-    values = model.values(instance, known_keys(module.config))
-    return parse(module.config, values, f"plugin '{module.name}' instance '{name}'")
-
-
 def register(module: type[Module]) -> None:
     """Register a module with MuJoCo under its name. Registering the same name again has no effect."""
     lib = library()
@@ -179,7 +172,7 @@ def register(module: type[Module]) -> None:
     def size(of: Callable[..., int], otherwise: int, model: int, instance: int, *sensor: int) -> int:
         try:
             view = ModelView(model, complete=False)
-            return of(settings_of(module, view, instance), view, *sensor)
+            return of(view.keys(module.config, instance), view, *sensor)
         except (KeyboardInterrupt, Exception) as error:
             _compiling.sizing = _compiling.sizing or (model, error)
             return otherwise  # init reports it
@@ -201,7 +194,7 @@ def register(module: type[Module]) -> None:
                 world = _worlds.get(data)
                 if world is None or instance in world.modules or world.model.address != model:
                     world = _worlds[data] = World(model, data)
-            world.modules[instance] = module(settings_of(module, world.model, instance), world, instance)
+            world.modules[instance] = module(world.model.keys(module.config, instance), world, instance)
             return 0
         except (KeyboardInterrupt, Exception) as error:
             _compiling.error = explained(error) if isinstance(error, Exception) else error

@@ -18,7 +18,7 @@ from palmfield.simulation.kept import Bool
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
-from palmfield.simulation.sensors import SensorPlace, channels, check_site, sensor_place, skin_reading
+from palmfield.simulation.sensors import SensorPlace, channels, check_site, sensor_place
 from palmfield.simulation.state import HapticState, stepper_of
 from palmfield.simulation.step import Steps
 from palmfield.simulation.validate import check_clear
@@ -342,11 +342,11 @@ class SceneRuntime:
             return
         time_s = self.view.raw.time
         self._begin(time_s, anew=False)
-        force = np.add.reduce(self.steps.forces[self.model.skins[skin].body][0, 0], axis=0)
+        force = np.add.reduce(self.steps.forces[self.model.skins[skin].body][:, 0], axis=1)
         for sensor in sensors:
             place = self._places.get(sensor.name) or self.place(skin, sensor)
-            [arp], [motion] = self.steps.sense(skin, place)
-            sensor.data[:] = channels(skin_reading(force, motion, arp))
+            arp, motion = self.steps.sense(skin, place)
+            sensor.data[:] = channels(force, motion, arp)[0]
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Return the place of a sensor, stored. Raises SceneError for a site on another body or far from the skin."""

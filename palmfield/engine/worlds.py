@@ -22,7 +22,7 @@ from palmfield.mujoco_host.mujoco_view import DataView, ModelView, PluginSensor,
 from palmfield.mujoco_host.structs import mirror
 from palmfield.simulation.backend import Frames
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.sensors import channels_of_worlds
+from palmfield.simulation.sensors import channels
 from palmfield.simulation.state import HapticState, new_state
 from palmfield.simulation.step import Steps
 from palmfield.simulation.workspace import Workspace
@@ -242,7 +242,7 @@ class SceneWorlds:
             force = self.forces[:, self.models[0].skins[skin].body]
             for sensor in sensors:
                 arp, motion = self.steps.sense(skin, self.runtimes[0].place(skin, sensor))
-                read = channels_of_worlds(force, motion, arp)
+                read = channels(force, motion, arp)
                 for own, many in self._parts:
                     many.put("sensordata", sensor.offsets, read[own])
 

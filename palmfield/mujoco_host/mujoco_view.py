@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 import mujoco
 import numpy as np
 
+from palmfield.config import Config, known_keys, parse
 from palmfield.errors import SceneError, did_you_mean
 from palmfield.mujoco_host.structs import Plugin, library, mirror
 from palmfield.transforms import Transform, rotation_matrix
@@ -159,6 +160,11 @@ class ModelView:
         """Return the texts of the keys that the scene sets for a plugin instance."""
         texts = {key: library().mj_getPluginConfig(self.address, instance, key.encode()) for key in keys}
         return {key: text.decode() for key, text in texts.items() if text}
+
+    def keys(self, config: type[Config], instance: int) -> Any:
+        """Return the typed keys of a plugin instance. Raises SceneError as `palmfield.config.parse`."""
+        _, plugin, name = self.instances()[instance]
+        return parse(config, self.values(instance, known_keys(config)), f"plugin '{plugin}' instance '{name}'")
 
 
 def mocap_offsets(mocap: int) -> tuple[list[int], list[int]]:

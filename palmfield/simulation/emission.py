@@ -385,9 +385,8 @@ def _begins(step: _Coming, posed: PosedScene, emitted: Complex, t0: float) -> bo
 def looks_ahead(model: HapticModel) -> bool:
     """Return whether coming drives differ, and one matrix product computes the loads of many of them."""
     changing = any(part.config.path != "point" or part.response.delayed for part in model.stimuli)
-    free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
     alike = len(model.arrays.groups) == 1 and model.arrays.wall_m is None
-    return changing and free and alike and model.arrays.precision == "fast"
+    return changing and model.free and alike and model.arrays.precision == "fast"
 
 
 def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:

@@ -336,6 +336,11 @@ class HapticModel:
         return self.stimuli[0].response.on
 
     @cached_property
+    def free(self) -> bool:
+        """Whether the sound on all skins is the free field, without effects of bodies."""
+        return all(skin.spec.config.body_sound == "none" for skin in self.skins)
+
+    @cached_property
     def sounding(self) -> int:
         """Return the number of the first stimulus that sounds; 0 in silence."""
         return next((number for number, stimulus in enumerate(self.stimuli) if not stimulus.silent), 0)

@@ -378,12 +378,10 @@ def may_join(model: HapticModel) -> bool:
     if len(model.stimuli) != 1 or PoseLayout(model).movable or model.substeps < 2:
         return False
     part, drive = model.stimuli[0], array_drives(model, model.arrays)[0]
-    response, config = part.response, part.config
-    alike = not response.on or (response.stepper.alike and not response.delayed)
     exact = drive.everything and drive.board.exact and drive.correction is None
-    free = part.path is None and len(part.offsets) == 0 and edges_of(config) is not None
+    free = part.path is None and len(part.offsets) == 0 and edges_of(part.config) is not None
     solid = all(body.surface is not None for body in model.bodies) and not any(model.still_m)
     boards = all(board.nearest is None for board in model.arrays.boards)
-    bare = all(skin.spec.config.body_sound == "none" and not skin.spec.obstacles for skin in model.skins)
+    bare = model.free and not any(skin.spec.obstacles for skin in model.skins)
     modal = all(skin.choice.solver.of_class for skin in model.skins)
-    return alike and exact and free and solid and boards and bare and modal
+    return part.response.alike and exact and free and solid and boards and bare and modal

@@ -18,8 +18,6 @@ from palmfield.config import (
     MotionConfig,
     SkinConfig,
     StimulusConfig,
-    known_keys,
-    parse,
 )
 from palmfield.config.base import naming_keys
 from palmfield.config.skin import OF_SHAPES
@@ -93,7 +91,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
     _check_custom(model)
     arrays, stimuli, skins, drivers = (
         [
-            (i, name, with_files_found(keys_of(config, model, i), config.element(name)))
+            (i, name, with_files_found(model.keys(config, i), config.element(name)))
             for i, plugin, name in model.instances()
             if plugin == config.plugin
         ]
@@ -134,13 +132,6 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
     return spec, binding
 
 
-def keys_of(config: type[Config], model: ModelView, instance: int) -> Any:
-    """Return the typed keys of a plugin instance. Raises SceneError as `palmfield.config.parse`."""
-    name = next(n for i, _, n in model.instances() if i == instance)
-    values = model.values(instance, known_keys(config))
-    return parse(config, values, config.element(name))
-
-
 def with_files_found(config: AnyConfig, element: str) -> AnyConfig:
     """Return the keys of a module, with absolute paths of its files.
 
@@ -160,7 +151,7 @@ def first_array_frame(model: ModelView) -> Transform:
     """Return the world frame of the first array in the reference configuration; the world frame without an array."""
     for number, plugin, name in model.instances():
         if plugin == ArrayConfig.plugin:
-            site = keys_of(ArrayConfig, model, number).site
+            site = model.keys(ArrayConfig, number).site
             return model.reference_pose("site", model.find("site", site, f"{ArrayConfig.element(name)}: key 'site'"))
     return IDENTITY
 

@@ -1,8 +1,7 @@
 """Readings of a sensor on the skin. A new channel is one entry of CHANNELS."""
 
 from collections.abc import Callable
-from itertools import repeat
-from operator import attrgetter, call
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -97,8 +96,8 @@ def skin_reading(force: Float, motion: Float, arp: Any) -> SkinReading:
     return SkinReading(x, y, z, displacement, velocity, arp)
 
 
-def channels_of_worlds(forces: Float, motions: Float, arps: Float) -> Float:
-    """Return sensor data in several worlds, shape (g, channels); arguments as in `skin_reading`, with a leading axis.
+def channels(forces: Float, motions: Float, arps: Float) -> Float:
+    """Return sensor data in some worlds, shape (g, channels); arguments as in `skin_reading`, with a leading axis.
 
     The fields of a reading are computed for all worlds together, any other channel for each world separately.
     """
@@ -110,8 +109,3 @@ def channels_of_worlds(forces: Float, motions: Float, arps: Float) -> Float:
         else:
             rows.append([channel(skin_reading(*row)) for row in zip(forces, motions, arps, strict=True)])
     return np.array(rows, dtype=np.float64).T
-
-
-def channels(reading: SkinReading) -> list[float]:
-    """Return the data of a sensor, shape (channels,)."""
-    return list(map(call, CHANNELS.values(), repeat(reading)))

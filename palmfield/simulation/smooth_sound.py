@@ -243,7 +243,5 @@ def _may_join(model: HapticModel) -> bool:
     if len(model.stimuli) != 1:
         return False
     stimulus = model.stimuli[0]
-    response = stimulus.response
-    alike = not response.on or (not response.delayed and response.stepper.alike)
     rounds = array_drives(model, model.arrays)[0].rounds_levels
-    return goes_smoothly(stimulus.config) and alike and not rounds
+    return goes_smoothly(stimulus.config) and stimulus.response.alike and not rounds

@@ -51,8 +51,7 @@ class StillSteps(HostBackend):
 
     def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState):
         super().__init__(models, works, state, alone=False)
-        free = all(skin.spec.config.body_sound == "none" for skin in models[0].skins)
-        self._able = free and len(models[0].stimuli) == 1 and not works[0].emission.holds
+        self._able = models[0].free and len(models[0].stimuli) == 1 and not works[0].emission.holds
         self._block: Block | None = None
         self._number = 0
         self._last: PosedScene | None = None
@@ -137,7 +136,7 @@ class StillSteps(HostBackend):
         if config.path == "point":
             # As in `SmoothSound.mean_factors`: each step begins with its own emission, held parts follow
             part, response = model.stimuli[0], model.stimuli[0].response
-            if len(course.units) > 1 or response.delayed or not response.stepper.alike:
+            if len(course.units) > 1 or not response.alike:
                 return None
             held = substep_moments((), 0.0, step_s / parts, parts, hold=True)
             commanded = np.sqrt(frames_at(part.config, (np.array(starts[:-1])[:, None] + held.times).ravel())[1])

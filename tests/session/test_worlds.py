@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import palmfield
-from palmfield.engine import many_data, scene_runtime
+from palmfield.engine import many_data
 from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import DeviceError, SceneError
 from palmfield.simulation import build_worlds, host_backend, sensors
@@ -670,8 +670,7 @@ def test_a_further_channel_of_the_sensor_is_read_in_worlds_too(small_scene, monk
         push_N = property(lambda self: float(np.hypot(self.arp_force_x_N, self.arp_force_z_N)))
 
     monkeypatch.setitem(sensors.CHANNELS, "push_N", lambda reading: reading.push_N)
-    for module in (sensors, scene_runtime):
-        monkeypatch.setattr(module, "skin_reading", lambda *row: Wider(*row[0], *row[1], row[2]))
+    monkeypatch.setattr(sensors, "skin_reading", lambda *row: Wider(*row[0], *row[1], row[2]))
     together, single = palmfield.Simulation(small_scene(), worlds=2), palmfield.Simulation(small_scene())
     together.step(3)
     single.step(3)

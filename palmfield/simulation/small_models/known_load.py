@@ -127,8 +127,7 @@ def has_path(model: HapticModel) -> bool:
     reduced = not all(skin.choice.solver.any_pose for skin in model.skins)
     if not reduced or one_shape(model.stimuli[model.sounding]):
         return False
-    free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
-    return free and model.arrays.field.device == "cpu"
+    return model.free and model.arrays.field.device == "cpu"
 
 
 def period_s(config: StimulusConfig) -> float | None:
