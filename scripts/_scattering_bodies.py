@@ -102,7 +102,7 @@ def front(body: Body, normals: Float) -> np.ndarray:
 
 
 def draw_bodies(
-    path: Path, bodies: list[Body], seen: dict[str, np.ndarray], pressed: dict[str, dict[str, Float]]
+    path: Path, bodies: list[Body], visible: dict[str, np.ndarray], pressed: dict[str, dict[str, Float]]
 ) -> None:
     """One row a body: ARP by each model as the array sees it, and along a line through the focus."""
     models = list(next(iter(pressed.values())))
@@ -110,7 +110,7 @@ def draw_bodies(
         figure = Figure(figsize=(15.0, 3.0 * len(bodies)), layout="constrained")
         axes = figure.subplots(len(bodies), len(models) + 1, squeeze=False)
         for row, body in zip(axes, bodies, strict=True):
-            show = np.flatnonzero(seen[body.name])
+            show = np.flatnonzero(visible[body.name])
             corners = 1e3 * (body.vertices[body.faces[show]][:, :, :2] - FOCUS[:2])
             order = np.argsort(-body.vertices[body.faces[show]][:, :, 2].mean(axis=1))
             peak = float(pressed[body.name]["boundary elements"][show].max())

@@ -95,26 +95,26 @@ class Story(NamedTuple):
 
     text: str
     panels: tuple[float, ...]
-    tell: Callable[[Run, list[Axes]], str]
+    write: Callable[[Run, list[Axes]], str]
 
 
 def approach(run: Run, axes: list[Axes]) -> str:
     """ARP at the palm against |p|^2 of the free field where the palm is, each a mean over an AM period."""
     times, places = _middle_of_skin(run)
-    felt = _at_middle(run, times, 200.0)
+    levels = _at_middle(run, times, 200.0)
     model = run.sim.runtime.model
     arrays = model.arrays
     drive = array_drives(model, arrays)[0].unit_drive(model.stimuli[0].first_focus).amplitudes
     at = to_local(places, pose_at(run.only("array"), 0.0))
     free = np.abs(pressure64(at, arrays.array, drive, arrays.air)[0]) ** 2
     inner = _whole_periods(times, 200.0)
-    expected = free * felt[inner].max() / free[inner].max()
-    off = float(np.abs(felt - expected)[inner].max() / felt[inner].max())
+    expected = free * levels[inner].max() / free[inner].max()
+    off = float(np.abs(levels - expected)[inner].max() / levels[inner].max())
     axes[0].plot(1e3 * times, 1e3 * places[:, 2], color=COLOURS[2])
     axes[0].axhline(200.0, color="#888888", lw=0.8, ls="--", label="height of the focus")
     axes[0].set(ylabel="palm height [mm]", title="Height of the palm's middle")
     axes[0].legend(loc="upper center")
-    axes[1].plot(1e3 * times[inner], felt[inner], color=COLOURS[0], label="run")
+    axes[1].plot(1e3 * times[inner], levels[inner], color=COLOURS[0], label="run")
     axes[1].plot(1e3 * times[inner], expected[inner], "--", color=COLOURS[1], label="|p|² of the free field, scaled")
     axes[1].set(ylabel="ARP [Pa]", title="ARP there, mean over a period of 5 ms")
     axes[1].legend(loc="lower center")
@@ -129,16 +129,16 @@ def approach(run: Run, axes: list[Axes]) -> str:
 def hover(run: Run, axes: list[Axes]) -> str:
     """Where the palm is when it feels most, against the circle's middle."""
     times, places = _middle_of_skin(run)
-    felt = _at_middle(run, times, 100.0)
+    levels = _at_middle(run, times, 100.0)
     inner = _whole_periods(times, 100.0)
     over = inner & (times < 0.3)
-    x, weight = places[over, 0], felt[over] * np.gradient(places[over, 0])
+    x, weight = places[over, 0], levels[over] * np.gradient(places[over, 0])
     middle = float((weight * x).sum() / weight.sum())
     axes[0].plot(1e3 * times, 1e3 * places[:, 0], color=COLOURS[2])
     axes[0].axhspan(20.0, 40.0, color="#dddddd", label="circle of the focus")
     axes[0].set(ylabel="palm x [mm]", title="Sideways position of the palm's middle")
     axes[0].legend(loc="lower right")
-    axes[1].plot(1e3 * times[inner], felt[inner], color=COLOURS[0])
+    axes[1].plot(1e3 * times[inner], levels[inner], color=COLOURS[0])
     axes[1].set(ylabel="ARP [Pa]", title="ARP there, mean over a turn of 10 ms")
     _displacement(axes[2], run)
     return (
@@ -219,15 +219,15 @@ def trace(run: Run, axes: list[Axes]) -> str:
 def two_hands(run: Run, axes: list[Axes]) -> str:
     """ARP in the shadow against ARP before and after it."""
     times, _ = _middle_of_skin(run)
-    felt = _at_middle(run, times, 200.0)
+    levels = _at_middle(run, times, 200.0)
     inner = _whole_periods(times, 200.0)
-    free, least = felt[inner][0], felt[inner].min()
-    axes[0].plot(1e3 * times[inner], felt[inner], color=COLOURS[0])
+    free, least = levels[inner][0], levels[inner].min()
+    axes[0].plot(1e3 * times[inner], levels[inner], color=COLOURS[0])
     axes[0].set(ylabel="ARP [Pa]", title="ARP at the right palm, mean over a period of 5 ms")
     _displacement(axes[1], run)
     return (
         f"The ARP at the middle of the palm is {free:.2f} Pa without a shadow, as low as {least:.2g} Pa in the "
-        f"shadow (with rays, no sound is diffracted), and {felt[inner][-1]:.2f} Pa after the hand has passed."
+        f"shadow (with rays, no sound is diffracted), and {levels[inner][-1]:.2f} Pa after the hand has passed."
     )
 
 
@@ -323,17 +323,17 @@ def stroke_velocities(speed_m_s: float) -> dict[str, Float]:
     }
 
 
-def wake_lengths(seen: dict[str, Float]) -> tuple[Float, Float, Float]:
+def wake_lengths(record: dict[str, Float]) -> tuple[Float, Float, Float]:
     """Wake lengths [m] at each moment of `stroke_velocities`, and the envelope at the moment nearest to 75 % of way.
 
     The wake is that of `palmfield.metrics.wake_along_path`, of nodes within PATH_NEIGHBOURHOOD_M. Returns lengths (n,),
     distances behind the focus [m] and the envelope there over its largest.
     """
     wakes = [
-        wake_along_path(arc, velocity, seen["places"], seen["near"], WAKE_SHARE)
-        for arc, velocity in zip(seen["arc"], seen["velocity"], strict=True)
+        wake_along_path(arc, velocity, record["places"], record["near"], WAKE_SHARE)
+        for arc, velocity in zip(record["arc"], record["velocity"], strict=True)
     ]
-    middle = int(np.abs(seen["arc"] - 0.5 * (seen["arc"][0] + seen["arc"][-1])).argmin())
+    middle = int(np.abs(record["arc"] - 0.5 * (record["arc"][0] + record["arc"][-1])).argmin())
     return np.array([length for length, _, _ in wakes]), *wakes[middle][1:]
 
 

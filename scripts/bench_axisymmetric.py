@@ -60,8 +60,8 @@ def loads() -> dict[str, Spot]:
 
 def differs(motion: Motion, reference: Motion, field: str = "displacement_m") -> float:
     """Relative L2 over the times, the worst point's."""
-    found, wanted = getattr(motion, field), getattr(reference, field)
-    return float(np.max(np.sqrt(((found - wanted) ** 2).sum(axis=(0, 2)) / (wanted**2).sum(axis=(0, 2)))))
+    found, exact = getattr(motion, field), getattr(reference, field)
+    return float(np.max(np.sqrt(((found - exact) ** 2).sum(axis=(0, 2)) / (exact**2).sum(axis=(0, 2)))))
 
 
 def case_rows(sides: tuple[str, ...]) -> list[str]:
@@ -116,10 +116,10 @@ def wedge_rows() -> list[str]:
         amplitude = np.interp(times, load.times_s, load.peak_Pa)[None, :, None]
         ramp = SurfaceLoads(np.ones((1, 1, 1)), amplitude[:, :-1], amplitude[:, 1:])
         after = stepper.step(state, ramp, times[0], times[-1], stepper.reader(read))
-        seen = np.concatenate([np.zeros((1, 2)), after[0, :, 0]])
+        computed = np.concatenate([np.zeros((1, 2)), after[0, :, 0]])
         motion = solve_axisymmetric(SkinProblem(disc(side), load, times, POINTS, accuracy=0.002))
         ours = -motion.displacement_m[..., 2]
-        gap = np.linalg.norm(seen - ours, axis=0) / np.linalg.norm(ours, axis=0)
+        gap = np.linalg.norm(computed - ours, axis=0) / np.linalg.norm(ours, axis=0)
         late = -solve_axisymmetric(
             SkinProblem(disc(side), loads()["step (to static)"], np.ones(1), POINTS, accuracy=0.002)
         ).displacement_m

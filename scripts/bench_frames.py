@@ -144,10 +144,10 @@ def gpu_s(transfer: Transfer, drives: Complex, device: str) -> float:
     """Seconds of one call, with the GPU idle before and after."""
     wp.synchronize_device(device)
     start = time.perf_counter()
-    kept = transfer.arp_on_gpu(drives)
+    result = transfer.arp_on_gpu(drives)
     wp.synchronize_device(device)
     seconds = time.perf_counter() - start
-    assert kept.shape == (FRAMES, POINTS)
+    assert result.shape == (FRAMES, POINTS)
     return seconds
 
 
@@ -213,23 +213,23 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--commit", default="", help="where no git is")
     parser.add_argument("--out", type=Path, help="page [default: docs/bench/frames.md, none on a GPU]")
-    given = parser.parse_args()
-    device = resolve(given.device)
+    args = parser.parse_args()
+    device = resolve(args.device)
     array, (points, normals) = layout(LAYOUT), skin()
     exact = circle(array)
     cases = []
     for name, drives in (("circle", exact), ("circle, 8 bits", quantise(exact, phase_steps=256))):
         expected = np.array([arp64(points, normals, array, drives[i]) for i in some()])
         cases.append(Case(name, drives, expected))
-    lines = head(device, given.commit or git_commit())
+    lines = head(device, args.commit or git_commit())
     if device == "cpu":
         lines = [TEXT, *lines, *on_cpu(points, normals, cases), CPU_TEXT.format(pages_s=new_pages_s())]
     else:
         lines = ["", "## On a GPU", "", *lines, *on_gpu(points, normals, cases, device), GPU_TEXT]
     text = "\n".join(lines)
     print(text)
-    if given.out is not None or device == "cpu":
-        with open(given.out or ROOT / "docs" / "bench" / "frames.md", "w" if device == "cpu" else "a") as page:
+    if args.out is not None or device == "cpu":
+        with open(args.out or ROOT / "docs" / "bench" / "frames.md", "w" if device == "cpu" else "a") as page:
             page.write(text)
 
 

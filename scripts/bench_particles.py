@@ -70,7 +70,7 @@ def exact_motion() -> tuple[Float, dict[str, Float]]:
 
 def motion_rows(device: str) -> list[str]:
     times, exact = exact_motion()
-    asked = times[: round(LASTS / PERIOD * SAMPLES)][::2]
+    requested = times[: round(LASTS / PERIOD * SAMPLES)][::2]
     fine = np.arange(0.0, LASTS, 5e-5)
     loads = {"ramp": Spot(WIDTH, fine, ramp(fine)), "AM": Spot(WIDTH, fine, modulated(fine))}
     body = Slab((Sheet(MATERIAL, DEPTH),), "disc", "bonded", "roller", radius_m=RADIUS)
@@ -80,9 +80,9 @@ def motion_rows(device: str) -> list[str]:
         cells = [f"{spacing_mm:.3g}", str(len(cloud.points))]
         for name, load in loads.items():
             begin, wall = time.process_time(), time.perf_counter()
-            _, u, _, step = run_particles(cloud, load, asked, AT, device=device)
+            _, u, _, step = run_particles(cloud, load, requested, AT, device=device)
             seconds = time.process_time() - begin if device == "cpu" else time.perf_counter() - wall
-            right = exact[name][: 2 * len(asked) : 2]
+            right = exact[name][: 2 * len(requested) : 2]
             error = np.linalg.norm(-u[..., 2] - right, axis=0) / np.linalg.norm(right, axis=0)
             law = law_error(body, load, cloud.columns.spacing_m)
             cells += [f"{100 * error[0]:.2f} %", f"{100 * error[1]:.2f} %", f"{100 * law:.1f} %"]

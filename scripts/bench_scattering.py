@@ -235,12 +235,12 @@ def main() -> None:
     sphere_pictures(pictures / "spheres.png", device)
     hand = whole_hand()
     bodies = [finger(hand), cupped(), turned(cupped(), 60.0)] + ([palm(hand)] if options.hand else [])
-    rows, costs, seen, pressed = [], [], {}, {}
+    rows, costs, visible, pressed = [], [], {}, {}
     for body in bodies:
-        lines, cost, seen[body.name], pressed[body.name] = compare(body, device, memory)
+        lines, cost, visible[body.name], pressed[body.name] = compare(body, device, memory)
         rows += lines
         costs.append(cost)
-    draw_bodies(pictures / "bodies.png", bodies, seen, pressed)
+    draw_bodies(pictures / "bodies.png", bodies, visible, pressed)
     prefix = "../images/scattering/" if at_home else ""
     options.out.write_text(
         REPORT.format(

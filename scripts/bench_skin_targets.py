@@ -53,12 +53,12 @@ def row(name: str, runs: int, call: Callable[[], Motion], finer: Callable[[], Mo
         motion = call()
         wall.append(time.perf_counter() - clock)
         busy.append(time.process_time() - process)
-    wanted = finer()
+    reference = finer()
     if velocity:
-        found, exact = motion.velocity_m_s[0, ::37, 2], wanted.velocity_m_s[0, :, 2]
+        found, exact = motion.velocity_m_s[0, ::37, 2], reference.velocity_m_s[0, :, 2]
         error = float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
     else:
-        error = gap(motion.displacement_m[:, :, 2], wanted.displacement_m[:, :, 2])
+        error = gap(motion.displacement_m[:, :, 2], reference.displacement_m[:, :, 2])
     seconds, threads, yard = (statistics.median(values) for values in (wall, busy, yards))
     line = (
         f"| {name} | {seconds:.2f} | {threads:.2f} | {max(wall):.2f} | {yard:.1f} | {100 * error:.2f} % "

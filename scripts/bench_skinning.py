@@ -42,8 +42,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skinning.md")
-    given = parser.parse_args()
-    device = resolve(given.device)
+    args = parser.parse_args()
+    device = resolve(args.device)
     preset = load_preset("open_men_p50")
     SkinnedHand(preset, EDGE_m)
     start = time.perf_counter()
@@ -78,7 +78,7 @@ def main() -> None:
     lines = [
         "# Skinning a hand",
         "",
-        f"`python scripts/bench_skinning.py --device {given.device}`, {where}, commit {git_commit()}. "
+        f"`python scripts/bench_skinning.py --device {args.device}`, {where}, commit {git_commit()}. "
         f"Hand of {len(hand.surface.vertices)} vertices, {len(hand.surface.faces)} faces and {len(hand.hand.bones)} "
         "bones, float32, at most four bones a vertex. Median of 5.",
         "",
@@ -88,7 +88,7 @@ def main() -> None:
     ]
     text = "\n".join([*lines, ""])
     print(text)
-    given.out.write_text(text, encoding="utf-8")
+    args.out.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

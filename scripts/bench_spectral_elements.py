@@ -74,8 +74,8 @@ def timed(problem: SkinProblem, **keywords):
     return solve_spectral_elements(problem, **keywords)
 
 
-def gap(found: np.ndarray, wanted: np.ndarray) -> float:
-    return float((np.linalg.norm(found - wanted, axis=0) / np.linalg.norm(wanted, axis=0)).max())
+def gap(found: np.ndarray, reference: np.ndarray) -> float:
+    return float((np.linalg.norm(found - reference, axis=0) / np.linalg.norm(reference, axis=0)).max())
 
 
 def disc_rows(device: str) -> list[str]:
@@ -89,16 +89,16 @@ def disc_rows(device: str) -> list[str]:
         for name, course in courses().items():
             motion = timed(SkinProblem(body, course, times, PLACES, accuracy=0.02, device=device))
             if side in ("roller", "endless") and name != "STM 70 Hz":
-                wanted = exact(course, times, RADIUS if side == "roller" else None)
+                reference = exact(course, times, RADIUS if side == "roller" else None)
             else:
-                wanted = -solve_spectral_elements(
+                reference = -solve_spectral_elements(
                     SkinProblem(body, course, times, PLACES, device=device),
                     order=4,
                     size_m=0.0067,
                     deep=(3,),
                     estimate=False,
                 ).displacement_m[:, :, 2]
-            error = gap(-motion.displacement_m[:, :, 2], wanted)
+            error = gap(-motion.displacement_m[:, :, 2], reference)
             rows.append(
                 f"| {side} | {name} | {motion.seconds:.2f} | {100 * error:.2f} % | {100 * motion.error:.2f} % "
                 f"| {motion.solver.removeprefix('spectral_elements, ')} |"
@@ -145,9 +145,9 @@ def hand_rows(device: str) -> list[str]:
     at = middle + np.array([[0.0, 0.0, 0.0], [0.5 * SPOT, 0.0, 0.0]])
     load = Spot(SPOT, grid, 0.5 * (1.0 + np.sin(2.0 * np.pi * 200.0 * grid)), middle[:2])
     reference = solve(body, load, grid[1:], at, solver="reduced", accuracy=0.02, device="cpu")
-    asked = {"cpu": (("reduced", False), ("reduced", True), ("wedges", False))}
+    steppers = {"cpu": (("reduced", False), ("reduced", True), ("wedges", False))}
     rows = []
-    for name, whole in asked.get(device, (("spectral_elements", False), ("spectral_elements", True))):
+    for name, whole in steppers.get(device, (("spectral_elements", False), ("spectral_elements", True))):
         motions = []
         solve(body, load, grid[1:3], at, solver=name, accuracy=0.05, device=device, whole=whole)
         for _ in range(3):

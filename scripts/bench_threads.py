@@ -56,20 +56,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--turns", type=int, default=60)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "threads.md")
-    given = parser.parse_args()
+    args = parser.parse_args()
     lines = [
         "# The field on all cores",
         "",
         f"For developers. `python scripts/bench_threads.py`, {processor()}, {os.cpu_count()} cores seen, commit "
         f"{git_commit()}. The table has the speed-up of the field by a second core: pressure of 996 pistons with "
-        f"absorption, mode fast. As a yardstick, plain hashing was measured before and after each of {given.turns} "
+        f"absorption, mode fast. As a yardstick, plain hashing was measured before and after each of {args.turns} "
         "rounds. Rounds with a similar speed-up of hashing are in one row, with medians.",
         "",
         "| points | speed-up of hashing by all cores | rounds | speed-up of the field | M pairs/s on all cores |",
         "|---|---|---|---|---|",
     ]
     for points in (20_000, 400_000):
-        found = turns(points, given.turns)
+        found = turns(points, args.turns)
         for low, high in pairwise(BINS):
             some = [turn for turn in found if low <= turn[0] < high]
             if some:
@@ -77,7 +77,7 @@ def main() -> None:
                 lines.append(f"| {points} | {hashing:.2f} | {len(some)} | {field:.2f} | {1e-6 * rate:.0f} |")
     text = "\n".join([*lines, ""])
     print(text)
-    given.out.write_text(text)
+    args.out.write_text(text)
 
 
 if __name__ == "__main__":

@@ -47,8 +47,8 @@ def field_rows(device: str) -> list[str]:
                 field = evaluator.pressure(points, drive, gradient)
                 times.append(time.perf_counter() - start)
             got = field.gradient if gradient else field.pressure
-            wanted = exact[1] if gradient else exact[0]
-            error = np.linalg.norm(got[:20_003] - wanted) / np.linalg.norm(wanted)
+            expected = exact[1] if gradient else exact[0]
+            error = np.linalg.norm(got[:20_003] - expected) / np.linalg.norm(expected)
             speed = len(points) * len(array) / statistics.median(times) / 1e9
             rows.append(f"| {where} | {'p + gradient' if gradient else 'p'} | {speed:.2f} | {error:.1e} |")
     return rows
@@ -149,9 +149,9 @@ def kernel_rows(device: str, rate: float) -> list[str]:
                     wp.synchronize_device(device)
                     times.append(time.perf_counter() - start)
                 errors = [
-                    np.linalg.norm(got.numpy()[: len(wanted)].view(np.complex64)[..., 0] - wanted)
-                    / np.linalg.norm(wanted)
-                    for got, wanted in zip((found.pressure, found.gradient), exact, strict=True)
+                    np.linalg.norm(got.numpy()[: len(expected)].view(np.complex64)[..., 0] - expected)
+                    / np.linalg.norm(expected)
+                    for got, expected in zip((found.pressure, found.gradient), exact, strict=True)
                     if got is not None
                 ]
                 speed = len(points) * len(array) / statistics.median(times) / 1e12

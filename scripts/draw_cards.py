@@ -185,10 +185,10 @@ def foreign_table(folder: Path) -> list[str]:
         if not unit:
             drawn[f"{foreign.file}\n{facts['verdict']}"] = card
         findings = [f for f in facts["findings"] if f["name"] not in ("long edges", "unused vertices")]
-        said = [f"{f['outcome']} {f['count']} x {f['name']}" for f in findings if f["outcome"] != "noted"]
+        found = [f"{f['outcome']} {f['count']} x {f['name']}" for f in findings if f["outcome"] != "noted"]
         side = f"{facts['side']} ({facts['side_sureness']:.2f})"
         size = f"{unit}{facts['unit']}, {max(facts['size_mm']):.0f} mm"
-        why = "; ".join([*said, *(f"doubt: {doubt}" for doubt in facts["doubts"])]) or "nothing to mend"
+        why = "; ".join([*found, *(f"doubt: {doubt}" for doubt in facts["doubts"])]) or "nothing to mend"
         lines.append(f"| {foreign.habit} (`{foreign.file}`) | {size} | {side} | {facts['verdict']} | {why} |")
     draw_foreign(drawn, IMAGES / "card_foreign.png")
     return lines

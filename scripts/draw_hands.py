@@ -82,7 +82,7 @@ def measure_table() -> list[str]:
             (found["wrist_circumference"], preset.wrist_circumference_m),
             (found["hand_circumference"], mean + DEVIATIONS[percentile] * deviation),
         ]
-        cells = [f"{1e3 * mesh:.1f} / {1e3 * asked:.1f} ({mesh / asked - 1.0:+.1%})" for mesh, asked in pairs]
+        cells = [f"{1e3 * mesh:.1f} / {1e3 * target:.1f} ({mesh / target - 1.0:+.1%})" for mesh, target in pairs]
         lines.append(f"| `{preset.name}` | {' | '.join(cells)} |")
     return lines
 

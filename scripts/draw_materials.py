@@ -110,11 +110,9 @@ def draw_presets() -> Figure:
         moduli.loglog(BAND_HZ, -shear.imag / 1e3, color=colour, linestyle=":")
         speed.semilogx(BAND_HZ, [wave.rayleigh_speed_m_s for wave in waves], color=colour)
         length.loglog(BAND_HZ, [wave.rayleigh_length_m * 1e3 for wave in waves], color=colour)
-        for seen in entry.observations:
-            if seen.quantity == "surface speed" and name != "finger_pad":
-                speed.errorbar(
-                    seen.f_Hz, seen.value, yerr=seen.spread, color=colour, marker="o", markersize=4, capsize=3
-                )
+        for one in entry.observations:
+            if one.quantity == "surface speed" and name != "finger_pad":
+                speed.errorbar(one.f_Hz, one.value, yerr=one.spread, color=colour, marker="o", markersize=4, capsize=3)
     moduli.set_ylim(0.2, 200.0)
     moduli.set_title("storage (line) and loss modulus (dots)")
     moduli.set_ylabel("[kPa]")
@@ -312,12 +310,12 @@ def misfit_rows() -> list[str]:
     for name, entry in CATALOGUE.items():
         if not entry.observations:
             lines.append(f"| {name} | - | - | no speed or decay measured on it is known | - | - | - |")
-        for seen in entry.observations:
-            found = predicted(entry.material, seen)
-            spread = f" +- {seen.spread:.3g}" if seen.spread is not None else ""
+        for one in entry.observations:
+            found = predicted(entry.material, one)
+            spread = f" +- {one.spread:.3g}" if one.spread is not None else ""
             lines.append(
-                f"| {name} | {seen.quantity} [{UNITS[seen.quantity]}] | {seen.f_Hz:g} | {seen.value:.4g}{spread} | "
-                f"{found:.4g} | {100 * (found / seen.value - 1):+.1f} % | {seen.source} |"
+                f"| {name} | {one.quantity} [{UNITS[one.quantity]}] | {one.f_Hz:g} | {one.value:.4g}{spread} | "
+                f"{found:.4g} | {100 * (found / one.value - 1):+.1f} % | {one.source} |"
             )
     return lines
 

@@ -47,9 +47,9 @@ def main() -> None:
         for path, pen_down, colour, label in paths:
             arc = np.linspace(0.0, path.length_m * (1.0 - 1e-9), 1200)
             positions, normals = path.at(arc, surface.vertices, surface.faces)
-            seen = 1e3 * (positions + ABOVE_SKIN_m * normals)
+            above = 1e3 * (positions + ABOVE_SKIN_m * normals)
             draws = np.ones(len(arc), dtype=bool) if pen_down is None else pen_down(arc)
-            pieces = np.stack([seen[:-1], seen[1:]], axis=1)[draws[:-1] & draws[1:]]
+            pieces = np.stack([above[:-1], above[1:]], axis=1)[draws[:-1] & draws[1:]]
             panel.add_collection3d(Line3DCollection(pieces, colors=colour, linewidths=2.0, zorder=10, label=label))
         low, high = 1e3 * surface.vertices.min(axis=0), 1e3 * surface.vertices.max(axis=0)
         middle, half = 0.5 * (low + high), 0.5 * float((high - low).max())

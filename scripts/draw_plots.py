@@ -23,19 +23,19 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "plots.md")
     parser.add_argument("--images", type=Path, default=ROOT / "docs" / "images" / "plots")
-    given = parser.parse_args()
-    given.images.mkdir(parents=True, exist_ok=True)
+    args = parser.parse_args()
+    args.images.mkdir(parents=True, exist_ok=True)
     # What stands above the pictures is kept
-    parts = [given.page.read_text(encoding="utf-8").partition("\n## ")[0].rstrip("\n") + "\n"]
-    with open_result(given.run / RESULT) as result:
+    parts = [args.page.read_text(encoding="utf-8").partition("\n## ")[0].rstrip("\n") + "\n"]
+    with open_result(args.run / RESULT) as result:
         for name, kind in KINDS.items():
             with style():
                 figure = kind.draw(result, Options())
                 figure.set_dpi(DPI)
-                save(figure, given.images / f"{name}.png", DPI)
+                save(figure, args.images / f"{name}.png", DPI)
             about = (kind.draw.__doc__ or kind.about).split("\n\n")[0].strip()
             parts.append(f"## {name}\n\n{' '.join(about.split())}\n\n![{kind.about}](images/plots/{name}.png)\n")
-    given.page.write_text("\n".join(parts), encoding="utf-8")
+    args.page.write_text("\n".join(parts), encoding="utf-8")
 
 
 if __name__ == "__main__":

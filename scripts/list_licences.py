@@ -127,16 +127,16 @@ SHARED = re.compile(r"lib(.+?)-[0-9a-f]{8}(?:-[0-9a-f]{8})?\.so")
 def licence(name: str) -> str:
     """What a package says of its licence: the expression, else its classifiers, else the field's first line."""
     try:
-        told = distribution(name).metadata
+        about = distribution(name).metadata
     except PackageNotFoundError:
         return ABSENT[canonicalize_name(name)]
-    if expression := told.get("License-Expression"):
+    if expression := about.get("License-Expression"):
         return str(expression)
-    kinds = [line.rsplit(" :: ", 1)[1] for line in told.get_all("Classifier") or [] if line.startswith("License :: ")]
+    kinds = [line.rsplit(" :: ", 1)[1] for line in about.get_all("Classifier") or [] if line.startswith("License :: ")]
     kinds = [kind for kind in kinds if kind != "OSI Approved"]
     if kinds:
         return ", ".join(kinds)
-    return str(told.get("License") or "not told").strip().splitlines()[0]
+    return str(about.get("License") or "not told").strip().splitlines()[0]
 
 
 def needed() -> dict[str, str]:
@@ -146,10 +146,10 @@ def needed() -> dict[str, str]:
     while waiting:
         asks, extras = waiting.pop()
         try:
-            wanted = requires(asks) or []
+            required = requires(asks) or []
         except PackageNotFoundError:
             continue
-        for text in wanted:
+        for text in required:
             need = Requirement(text)
             places = [{"extra": extra} for extra in extras] or [{"extra": ""}]
             name = canonicalize_name(need.name)
@@ -201,10 +201,10 @@ def page() -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", type=Path)
-    given = parser.parse_args()
+    args = parser.parse_args()
     text = page()
-    if given.write:
-        given.write.write_text(text, encoding="utf-8")
+    if args.write:
+        args.write.write_text(text, encoding="utf-8")
     else:
         print(text)
 

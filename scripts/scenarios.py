@@ -133,7 +133,7 @@ def draw(name: str, out: Path) -> str:
         scene = left.add_axes((0.0, 0.0, 1.0, 1.0))
         scene.imshow(matplotlib.image.imread(out / "scene.png"))
         scene.set_axis_off()
-        check = story.tell(run, list(right.subplots(len(story.panels), 1, height_ratios=story.panels)))
+        check = story.write(run, list(right.subplots(len(story.panels), 1, height_ratios=story.panels)))
         save(figure, IMAGES / f"scenario_{name}.png", 100)
     facts = json.loads((out / "facts.json").read_text())
     (out / "facts.json").write_text(json.dumps(facts | {"check": check}, indent=1) + "\n")
@@ -171,9 +171,9 @@ def error_in_words(skin: dict[str, Any]) -> str:
     """What a run's estimate says of its largest displacement. skin: its entry in the summary"""
     if "displacement_error_relative" not in skin:
         return f"No error estimate: {skin.get('displacement_error_missing', 'the skin did not move')}."
-    error, wanted = skin["displacement_error_relative"], skin["accuracy_wanted_relative"]
+    error, target = skin["displacement_error_relative"], skin["accuracy_wanted_relative"]
     return (
-        f"Error of the displacement {100 * error:.0f} % (target {100 * wanted:.0f} %): mesh "
+        f"Error of the displacement {100 * error:.0f} % (target {100 * target:.0f} %): mesh "
         f"{100 * skin['mesh_error_relative']:.0f} %, cut edge {100 * skin['edge_error_relative']:.0f} %."
     )
 

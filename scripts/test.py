@@ -49,13 +49,13 @@ def main() -> int:
         "--quick", action="store_true", help="ruff and the tests that take less than 0.2 s, in two minutes"
     )
     parser.add_argument("--nightly", action="store_true", help="also the long checks that the usual run leaves out")
-    given, passed_on = parser.parse_known_args()
+    args, passed_on = parser.parse_known_args()
     # Hundreds of processes would compile all that they import, each for itself
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     python = _setup.environment("test")
-    if given.quick:
+    if args.quick:
         return run(python, *RUFF[0]) or run(python, *PYTEST, "-m", "quick", *passed_on)
-    nightly = ("--nightly",) if given.nightly else ()
+    nightly = ("--nightly",) if args.nightly else ()
     if status := first_failure(python, RUFF):
         return status
     if passed_on:
@@ -96,10 +96,10 @@ def another_core(python: Path) -> str | None:
 
 def cores(python: Path, **variables: str) -> list[str]:
     """Names of the kernels that numpy's and scipy's BLAS take; empty where they don't tell, as Accelerate."""
-    told = subprocess.run(
+    result = subprocess.run(
         [python, "-c", TELL_CORES], env={**os.environ, **variables}, capture_output=True, text=True, check=False
     )
-    return sorted({name for name in json.loads(told.stdout) if name}) if told.returncode == 0 else []
+    return sorted({name for name in json.loads(result.stdout) if name}) if result.returncode == 0 else []
 
 
 def run(python: Path, tool: str, *options: str, **variables: str) -> int:

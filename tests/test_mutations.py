@@ -35,7 +35,7 @@ def test_all_pass_without_a_fault(tree: Path, mutations: Sequence[Mutation]) -> 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda one: f"{one.stage}: {one.name}")
 def test_a_fault_turns_its_test_red(tree: Path, mutation: Mutation) -> None:
     outcome = outcome_of(tree, mutation)
-    assert outcome.red, outcome.said
+    assert outcome.red, outcome.message
 
 
 def test_no_fault_is_there_twice_and_none_changes_nothing() -> None:

@@ -81,11 +81,11 @@ def run(case: Case, caches: Path, out: Path) -> Run:
         child.returncode = os.waitstatus_to_exitcode(status)
         wall_s = time.perf_counter() - began
         errors.seek(0)
-        said = errors.read()
+        output = errors.read()
     if status:
-        raise SystemExit(f"{words}\n{said}")
+        raise SystemExit(f"{words}\n{output}")
     shutil.rmtree(out, ignore_errors=True)
-    phases = {name.strip(): float(seconds) for name, seconds in PHASE.findall(said) if name.strip() != TOTAL}
+    phases = {name.strip(): float(seconds) for name, seconds in PHASE.findall(output) if name.strip() != TOTAL}
     return Run(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, phases)
 
 

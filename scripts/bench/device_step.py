@@ -65,10 +65,10 @@ class Stopwatch:
 
 
 @contextmanager
-def on_device(wanted: bool) -> Iterator[None]:
+def on_device(allowed: bool) -> Iterator[None]:
     """Whether scenes compute their sound by graphs, also on the CPU."""
     kept = stepping.serves
-    stepping.serves = lambda model: wanted
+    stepping.serves = lambda model: allowed
     try:
         yield
     finally:
@@ -147,16 +147,16 @@ def by_itself(work: GraphWork, device: str, options: argparse.Namespace) -> None
     """What the device takes for a step that has moved, and for one that has not."""
     again = AGAIN.get(device, 200)
     for moved in (True, False):
-        asked = moved, True, tuple(work.of.skins)
-        work.launch(*asked)
+        drawn_from = moved, True, tuple(work.of.skins)
+        work.launch(*drawn_from)
         work.wait()
         waits = []
         for _ in range(again):
             start = time.perf_counter()
-            work.launch(*asked)
+            work.launch(*drawn_from)
             work.wait()
             waits.append(1e6 * (time.perf_counter() - start))
-        graph = device_us([work.replay(*asked)], device, again)
+        graph = device_us([work.replay(*drawn_from)], device, again)
         what = "moved" if moved else "at rest"
         p99 = np.quantile(waits, 0.99)
         print(

@@ -39,7 +39,7 @@ SECONDS = 2.0
 
 def times(call: Callable[[], object], repeats: int, device: str) -> list[float]:
     """Seconds of each call until its results are there, sorted."""
-    taken: list[float] = []
+    spans: list[float] = []
     until = time.perf_counter() + SECONDS
     for i in range(FIRST + repeats):
         start = time.perf_counter()
@@ -47,10 +47,10 @@ def times(call: Callable[[], object], repeats: int, device: str) -> list[float]:
         if device != "cpu":
             wp.synchronize_stream(device)
         if i >= FIRST:
-            taken.append(time.perf_counter() - start)
-        if len(taken) >= 5 and start > until:
+            spans.append(time.perf_counter() - start)
+        if len(spans) >= 5 and start > until:
             break
-    return sorted(taken)
+    return sorted(spans)
 
 
 def on_host(values: Any) -> np.ndarray:
@@ -85,18 +85,16 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=22_000, help=f"1 to {field.MOST_POINTS} [%(default)s]")
     parser.add_argument("--repeats", type=int, default=200)
     parser.add_argument("--layout", default="autd3_2x2")
-    given = parser.parse_args()
-    if not 1 <= given.points <= field.MOST_POINTS or given.repeats < 5:
-        parser.error(
-            f"--points {given.points} --repeats {given.repeats}: 1 to {field.MOST_POINTS} points, >= 5 repeats"
-        )
-    device, array, air = resolve("cuda:0" if given.device == "cuda" else given.device), layout(given.layout), Air()
+    args = parser.parse_args()
+    if not 1 <= args.points <= field.MOST_POINTS or args.repeats < 5:
+        parser.error(f"--points {args.points} --repeats {args.repeats}: 1 to {field.MOST_POINTS} points, >= 5 repeats")
+    device, array, air = resolve("cuda:0" if args.device == "cuda" else args.device), layout(args.layout), Air()
     drive = focus(array, air, np.array([0.02, -0.01, 0.2]))
     rng = np.random.default_rng(1)
-    points = rng.uniform([-0.1, -0.1, 0.05], [0.1, 0.1, 0.4], (given.points, 3))
-    few = slice(0, min(given.points, 2000))
+    points = rng.uniform([-0.1, -0.1, 0.05], [0.1, 0.1, 0.4], (args.points, 3))
+    few = slice(0, min(args.points, 2000))
     name = f"{processor()}, {cores()} cores" if device == "cpu" else wp.get_device(device).name
-    print(f"{name}, Warp {wp.__version__}: {given.points} points, {len(array)} transducers of {given.layout}")
+    print(f"{name}, Warp {wp.__version__}: {args.points} points, {len(array)} transducers of {args.layout}")
     print(
         "| mode | result | call | p50 [ms] | p10 [ms] | G pairs/s | against accurate |\n|---|---|---|---|---|---|---|"
     )
@@ -116,7 +114,7 @@ def main() -> None:
             }
             found = {how: call() for how, call in calls.items()}
             for how, call in calls.items():
-                report(mode, what, how, times(call, given.repeats, device), points, array, difference(found[how], best))
+                report(mode, what, how, times(call, args.repeats, device), points, array, difference(found[how], best))
                 if not same(found[how], call()):
                     wrong.append(f"{mode}, {what}, {how}: a repeated call differs")
                 if difference(found[how], found["NumPy in and out"]) > LIMIT:
@@ -130,7 +128,7 @@ def main() -> None:
                 field.THREADS_ENOUGH = threads
                 alone = field.FieldEvaluator(array, air, device, mode=mode)
                 alone.pressure(where, drive, gradient)
-                report(mode, what, how, times(launches(alone, gradient), given.repeats, device), points, array, None)
+                report(mode, what, how, times(launches(alone, gradient), args.repeats, device), points, array, None)
             field.THREADS_ENOUGH = enough
     print(
         "\n".join(wrong) or "Checked: the reference, repeats to the bit, and results from NumPy and the device agree."
@@ -138,12 +136,12 @@ def main() -> None:
     sys.exit(bool(wrong))
 
 
-def report(mode: str, what: str, how: str, taken: list[float], points: Any, array: Any, error: float | None) -> None:
+def report(mode: str, what: str, how: str, spans: list[float], points: Any, array: Any, error: float | None) -> None:
     """A row of the table."""
-    median = statistics.median(taken)
-    speed, low = len(points) * len(array) / median / 1e9, taken[len(taken) // 10]
-    told = "" if error is None else f"{error:.1e}"
-    print(f"| {mode} | {what} | {how} | {1e3 * median:.3f} | {1e3 * low:.3f} | {speed:.1f} | {told} |", flush=True)
+    median = statistics.median(spans)
+    speed, low = len(points) * len(array) / median / 1e9, spans[len(spans) // 10]
+    shown = "" if error is None else f"{error:.1e}"
+    print(f"| {mode} | {what} | {how} | {1e3 * median:.3f} | {1e3 * low:.3f} | {speed:.1f} | {shown} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -92,10 +92,10 @@ def measure(scene: str, times: int, lit: int, accuracies: list[float]) -> list[s
             mesh = sample_mesh(vertices, faces, accuracy)
             samples, name = of_faces(mesh.points, mesh.corners), f"{100 * accuracy:g} %"
             counts[name] = len(samples[0])
-            for (where, _), drive, wanted in zip(foci, drives, expected, strict=True):
+            for (where, _), drive, true_force in zip(foci, drives, expected, strict=True):
                 found = resultant(posed, samples, drive, law, origin)
-                off, turned = (float(np.linalg.norm(a - b)) for a, b in zip(found, wanted, strict=True))
-                force = float(np.linalg.norm(wanted[0]))
+                off, turned = (float(np.linalg.norm(a - b)) for a, b in zip(found, true_force, strict=True))
+                force = float(np.linalg.norm(true_force[0]))
                 errors.setdefault(f"{name}|{where}", []).append((off / force, turned / (force * arm)))
         if scene == "box":
             break

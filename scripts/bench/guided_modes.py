@@ -60,7 +60,7 @@ class Case(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """true: the strongest travelling wave; bound: of it; told: the fit's; error: of the strongest
+    """true: the strongest travelling wave; bound: of it; reported: the fit's; error: of the strongest
     right: each wave told is within LIMIT of one of the layer's, and the strongest is the layer's or carries 0.8 of that
     """
 
@@ -68,7 +68,7 @@ class Answer(NamedTuple):
     true: complex | None
     bound: float
     wide: bool
-    told: complex | None
+    reported: complex | None
     error: float
     right: bool
     others: int
@@ -80,21 +80,21 @@ def answered(case: Case, rng: np.random.Generator) -> Answer:
     """Make a scan, fit it, compare."""
     material = fractional(case.f_Hz, case.stiff_Pa, case.pot_Pa, 100.0, case.power)
     layer = GuidedLayer(case.f_Hz, material, case.thickness_m)
-    told = disc_grid(case.half_m, case.pitch_m)
+    grid = disc_grid(case.half_m, case.pitch_m)
     turn, near, tilt = rng.uniform(0.0, 2.0 * math.pi), 1.55 * case.spot_m, math.tan(math.radians(case.angle_deg))
-    true = told[:, :2] + 1e-3 * np.array([math.cos(turn), math.sin(turn)])
+    true = grid[:, :2] + 1e-3 * np.array([math.cos(turn), math.sin(turn)])
     r = np.maximum(np.linalg.norm(true, axis=1), 1e-9)
     down, out = layer.under_spot(r, case.spot_m, 800)
     read = -down + tilt * out * true[:, 0] / r
-    far = np.linalg.norm(told[:, :2], axis=1) > near
+    far = np.linalg.norm(grid[:, :2], axis=1) > near
     rms = float(np.sqrt(np.mean(np.abs(read[far]) ** 2)))
     noise = rms * 10.0 ** (-case.snr_dB / 20.0) / math.sqrt(2.0)
     k, fields = layer.seen(case.spot_m, true[far], tilt)
     motion = np.sqrt(np.mean(np.abs(fields) ** 2, axis=1)) / rms
-    sights = np.tile([tilt, 0.0, 1.0], (len(told), 1))
+    sights = np.tile([tilt, 0.0, 1.0], (len(grid), 1))
     begun = time.perf_counter()
     dirty = read + noise * (rng.normal(size=len(r)) + 1j * rng.normal(size=len(r)))
-    found = guided_mode_fit(dirty, told, [0.0, 0.0], near, sights=sights)
+    found = guided_mode_fit(dirty, grid, [0.0, 0.0], near, sights=sights)
     seconds = time.perf_counter() - begun
     travels = np.where(k.real > k.imag, motion, 0.0)
     if not travels.any():
@@ -163,13 +163,13 @@ def drawn(rng: np.random.Generator) -> Case:
 def summary(draw: str, answers: list[Answer]) -> str:
     """Counts of a draw in a row of the page's table."""
     wide = [one for one in answers if one.wide]
-    told = [one for one in answers if one.told is not None]
-    errors = sorted(one.error for one in told) or [math.nan]
+    reported = [one for one in answers if one.reported is not None]
+    errors = sorted(one.error for one in reported) or [math.nan]
     bounded = [one for one in wide if one.bound < SURE]
-    missed = [one for one in bounded if one.told is None]
+    missed = [one for one in bounded if one.reported is None]
     wrong = sum(not one.right for one in answers)
     return (
-        f"| {draw} | {len(answers)} | {len(wide)} | {len(told)} ({sum(one.wide for one in told)}) "
+        f"| {draw} | {len(answers)} | {len(wide)} | {len(reported)} ({sum(one.wide for one in reported)}) "
         f"| {100 * np.median(errors):.2g}, {100 * errors[-1]:.2g} | {sum(one.others for one in answers)} | {wrong} "
         f"| {len(wide) - len(bounded)} | {len(missed)} of {len(bounded)} "
         f"| {np.median([one.seconds for one in answers]):.2g} |"
@@ -186,12 +186,12 @@ def table(snr: float, answers: list[Answer]) -> list[str]:
     for one in answers:
         if one.true is None:
             continue
-        said = f"{100 * one.error:.2g} % off" if one.told is not None else short(one.reason)
-        said += "" if one.others == 0 else f", and {one.others} more"
+        outcome = f"{100 * one.error:.2g} % off" if one.reported is not None else short(one.reason)
+        outcome += "" if one.others == 0 else f", and {one.others} more"
         lines.append(
             f"| {snr:g} | {1e3 * one.case.thickness_m:g} | {one.case.f_Hz:g} "
             f"| {one.true.real:.0f} + {one.true.imag:.0f}i | {100 * one.bound:.2g} "
-            f"| {said}{'' if one.right else ' **wrong**'} |"
+            f"| {outcome}{'' if one.right else ' **wrong**'} |"
         )
     return lines
 

@@ -63,36 +63,36 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--device", default="cuda:0")
     parser.add_argument("--key", action="append", default=[], help="a key of the scene and its value in all worlds")
-    given = parser.parse_args()
-    levels: dict[str, object] = {"stimulus.drive_amplitude": np.linspace(0.5, 1.0, given.worlds)}
-    levels |= dict(key.split("=", 1) for key in given.key)
-    path = folder("mjcf") / "scenes" / f"{given.scene}.xml"
+    args = parser.parse_args()
+    levels: dict[str, object] = {"stimulus.drive_amplitude": np.linspace(0.5, 1.0, args.worlds)}
+    levels |= dict(key.split("=", 1) for key in args.key)
+    path = folder("mjcf") / "scenes" / f"{args.scene}.xml"
     start = time.perf_counter()
-    sim = palmfield.Simulation(path, device=given.device, keys=levels, worlds=given.worlds)
-    sim.start_at(given.start)
+    sim = palmfield.Simulation(path, device=args.device, keys=levels, worlds=args.worlds)
+    sim.start_at(args.start)
     sim.step(3)
     ready_s = time.perf_counter() - start
     spent: Counter[str] = Counter()
     for owner, name, what in PARTS:
         watch(owner, name, what, spent)
     times = []
-    for _ in range(given.steps):
+    for _ in range(args.steps):
         start = time.perf_counter()
         sim.step()
         times.append(time.perf_counter() - start)
-    us = 1e6 / given.worlds
+    us = 1e6 / args.worlds
     scenes: Any = sim._scenes
     graphs = [backend for backend in scenes.steps.backends if isinstance(backend, MovingWorlds)]
     joined = sum(len(graph.joined) for graph in graphs)
-    print(f"{processor()}, {cores()} cores, {given.device}")
-    print(f"{given.scene}, {given.worlds} worlds, {joined} in {len(graphs)} graphs")
+    print(f"{processor()}, {cores()} cores, {args.device}")
+    print(f"{args.scene}, {args.worlds} worlds, {joined} in {len(graphs)} graphs")
     print(f"ready after {ready_s:.1f} s; {us * statistics.median(times):.1f} us a world and step")
     for _, _, what in PARTS:
-        print(f"{what:32} {us * spent[what] / given.steps:7.2f}")
+        print(f"{what:32} {us * spent[what] / args.steps:7.2f}")
     work = graphs[0]._work if graphs else None
-    if work is None or given.device == "cpu":
+    if work is None or args.device == "cpu":
         return
-    device = wp.get_device(given.device)
+    device = wp.get_device(args.device)
     print(f"GPU memory in use: {(device.total_memory - device.free_memory) / 2**30:.1f} GiB")
     with wp.ScopedTimer("kernels", cuda_filter=wp.TIMING_ALL, print=False) as timer:
         for call in work.calls(True, True, tuple(work.of.skins)):

@@ -81,20 +81,20 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=100)
     parser.add_argument("--times", type=int, default=9)
     parser.add_argument("--device", default="", help="where the sound is computed, for example cuda:0")
-    asked = parser.parse_args()
-    ways = [*([asked.before] if asked.before else []), "step by step", "blocks"]
+    args = parser.parse_args()
+    ways = [*([args.before] if args.before else []), "step by step", "blocks"]
     heads = [f"{kind}: {way}" for kind in ("wall [ms]", "CPU [ms]") for way in (*ways, *(f"/ {w}" for w in ways[:-1]))]
     print(f"{processor()}, {os.cpu_count()} cores\n\n| scene | {' | '.join(heads)} |\n|{'---|' * (1 + len(heads))}")
-    if asked.before is None:
-        for scene in asked.scenes:
-            compare(scene, [ROOT], asked.device, asked.steps, asked.times)
+    if args.before is None:
+        for scene in args.scenes:
+            compare(scene, [ROOT], args.device, args.steps, args.times)
         return
     with tempfile.TemporaryDirectory() as folder:
         before, git = Path(folder) / "before", ["git", "-C", str(ROOT), "worktree"]
-        subprocess.run([*git, "add", "--quiet", "--detach", str(before), asked.before], check=True)
+        subprocess.run([*git, "add", "--quiet", "--detach", str(before), args.before], check=True)
         try:
-            for scene in asked.scenes:
-                compare(scene, [ROOT, before], asked.device, asked.steps, asked.times)
+            for scene in args.scenes:
+                compare(scene, [ROOT, before], args.device, args.steps, args.times)
         finally:
             subprocess.run([*git, "remove", "--force", str(before)], check=True)
 

@@ -49,21 +49,21 @@ def code_of(case: str | list[str]) -> str:
     return f"import runpy, sys; sys.argv = {['palmfield', *case]!r}; runpy.run_module('palmfield', run_name='__main__')"
 
 
-def call(code: str, where: Path, caches: Path, *, keeps: bool = True) -> tuple[float, list[str]]:
+def call(code: str, where: Path, caches: Path, *, caching: bool = True) -> tuple[float, list[str]]:
     """Processor seconds of a Python that runs this code in a checkout, and the words that it ends with."""
-    kept = str(caches / f"{where.name}_kept") if keeps else "off"
+    folder = str(caches / f"{where.name}_kept") if caching else "off"
     env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    env |= {"PYTHONPYCACHEPREFIX": str(caches / f"{where.name}_bytecode"), "PALMFIELD_CACHE": kept}
+    env |= {"PYTHONPYCACHEPREFIX": str(caches / f"{where.name}_bytecode"), "PALMFIELD_CACHE": folder}
     with tempfile.TemporaryFile("w+") as errors:
         words = [sys.executable, "-c", code]
         python = subprocess.Popen(words, cwd=where, env=env, stdout=subprocess.DEVNULL, stderr=errors)
         _, status, used = os.wait4(python.pid, 0)
         python.returncode = os.waitstatus_to_exitcode(status)
         errors.seek(0)
-        said = errors.read()
+        output = errors.read()
     if status:
-        raise SystemExit(f"{code}\n{said}")
-    return used.ru_utime + used.ru_stime, said.split()[-2:]
+        raise SystemExit(f"{code}\n{output}")
+    return used.ru_utime + used.ru_stime, output.split()[-2:]
 
 
 def compare(checkouts: list[Path], caches: Path, times: int) -> None:
@@ -82,7 +82,7 @@ def compare(checkouts: list[Path], caches: Path, times: int) -> None:
                 own += [spent] if turn else []  # the first call fills the caches
         counted = [call(COUNT + code, where, caches)[1] for where in checkouts]
         row(name, (f"{statistics.median(own):.2f}" for own in seconds.values()), *zip(*counted, strict=True))
-    counted = [call(COUNT + STEPS, where, caches, keeps=False)[1] for where in checkouts]
+    counted = [call(COUNT + STEPS, where, caches, caching=False)[1] for where in checkouts]
     row("the same steps without a cache", ("" for _ in checkouts[:1]), *zip(*counted, strict=True))
 
 
@@ -90,16 +90,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--before", help="commit to compare with")
     parser.add_argument("--times", type=int, default=5)
-    asked = parser.parse_args()
+    args = parser.parse_args()
     print(f"{processor()}, {os.cpu_count()} cores, Python {sys.version.split()[0]}\n")
     with tempfile.TemporaryDirectory() as folder:
         caches = Path(folder)
-        if asked.before is None:
-            return compare([ROOT], caches, asked.times)
+        if args.before is None:
+            return compare([ROOT], caches, args.times)
         before, git = caches / "before", ["git", "-C", str(ROOT), "worktree"]
-        subprocess.run([*git, "add", "--quiet", "--detach", str(before), asked.before], check=True)
+        subprocess.run([*git, "add", "--quiet", "--detach", str(before), args.before], check=True)
         try:
-            compare([before, ROOT], caches, asked.times)
+            compare([before, ROOT], caches, args.times)
         finally:
             subprocess.run([*git, "remove", "--force", str(before)], check=True)
 

@@ -62,41 +62,41 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=200)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--compare", type=int, default=4)
-    given = parser.parse_args()
-    scene = Path(given.scene) if Path(given.scene).is_file() else SCENES / f"{given.scene}.xml"
-    common: dict[str, object] = {"skin.solver": given.solver}
-    single = palmfield.Simulation(scene, device=given.device, keys=common)
+    args = parser.parse_args()
+    scene = Path(args.scene) if Path(args.scene).is_file() else SCENES / f"{args.scene}.xml"
+    common: dict[str, object] = {"skin.solver": args.solver}
+    single = palmfield.Simulation(scene, device=args.device, keys=common)
     timestep_ms = 1e3 * single.model.opt.timestep
-    alone_ms = ms_per_step(single, given.steps) / timestep_ms
+    alone_ms = ms_per_step(single, args.steps) / timestep_ms
     focus = np.array(single.runtime.model.stimuli[0].config.focus_m)
-    differing = values(given.vary, given.worlds, focus)
+    differing = values(args.vary, args.worlds, focus)
     start = time.perf_counter()
-    together: Any = palmfield.Simulation(scene, device=given.device, keys=common | differing, worlds=given.worlds)
+    together: Any = palmfield.Simulation(scene, device=args.device, keys=common | differing, worlds=args.worlds)
     together.step()
     made_s = time.perf_counter() - start
-    together_ms = ms_per_step(together, given.steps) / timestep_ms
-    each_ms = together_ms / given.worlds
-    print(f"{processor()}, {cores()} cores, device {given.device}, scene {scene.stem}, {given.vary} differs")
+    together_ms = ms_per_step(together, args.steps) / timestep_ms
+    each_ms = together_ms / args.worlds
+    print(f"{processor()}, {cores()} cores, device {args.device}, scene {scene.stem}, {args.vary} differs")
     steppers = {solver for name in together.skins for solver in together.skin(name).solver}
     print(f"steppers: {sorted(steppers)}; alone: {single.skin(single.skins[0]).solver}")
     print(f"one simulation: {alone_ms:.3f} ms a simulated ms")
-    print(f"{given.worlds} worlds, ready after {made_s:.1f} s:")
+    print(f"{args.worlds} worlds, ready after {made_s:.1f} s:")
     print(f"    {together_ms:.3f} ms a simulated ms, {each_ms:.4f} ms a world and simulated ms")
-    print(f"{given.worlds} worlds take {given.worlds * alone_ms / together_ms:.1f} x less than as many simulations")
-    steps = 1 + FIRST + given.steps
-    chosen = np.unique(np.linspace(0, given.worlds - 1, min(given.compare, given.worlds)).astype(int))
+    print(f"{args.worlds} worlds take {args.worlds * alone_ms / together_ms:.1f} x less than as many simulations")
+    steps = 1 + FIRST + args.steps
+    chosen = np.unique(np.linspace(0, args.worlds - 1, min(args.compare, args.worlds)).astype(int))
     worst = dict.fromkeys(("displacement", "forces", "sensors"), 0.0)
     for world in chosen.tolist():
         own = {key: value[world] for key, value in differing.items()}
-        sim = palmfield.Simulation(scene, device=given.device, keys=common | own)
+        sim = palmfield.Simulation(scene, device=args.device, keys=common | own)
         sim.step(steps)
         for name in sim.skins:
             difference = apart(together.skin(name).displacement[world], sim.skin(name).displacement)
             worst["displacement"] = max(worst["displacement"], difference)
         worst["forces"] = max(worst["forces"], apart(together.forces[world], sim.forces))
         worst["sensors"] = max(worst["sensors"], apart(together.sensors[world], sim.data.sensordata))
-    told = ", ".join(f"{name} {difference:.1e}" for name, difference in worst.items())
-    print(f"worlds {chosen.tolist()} against simulations by themselves: {told}")
+    differences = ", ".join(f"{name} {difference:.1e}" for name, difference in worst.items())
+    print(f"worlds {chosen.tolist()} against simulations by themselves: {differences}")
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ def stalled(length_s: float, seconds: float) -> tuple[str, Outcome]:
     result = faults.stall(length_s, seconds)
     until_s = result.numbers["stalled_until_s"]
     if result.report is None:
-        return f"{result.said}", result
+        return f"{result.message}", result
     after = 1e3 * result.late_between(until_s + AFTER_S, until_s + 1.0)
     report = result.report
     return (
@@ -51,8 +51,8 @@ def half() -> tuple[str, Outcome]:
     return f"{numbers['mixed']} of {numbers['frames']} frames sounded with phases of others among its own", result
 
 
-def told(result: Outcome) -> tuple[str, Outcome]:
-    return result.said.replace("|", "/"), result
+def outcome_text(result: Outcome) -> tuple[str, Outcome]:
+    return result.message.replace("|", "/"), result
 
 
 def ended(number: signal.Signals, work: str = faults.BUSY) -> tuple[str, Outcome]:
@@ -83,9 +83,9 @@ CASES: list[tuple[str, Callable[[], tuple[str, Outcome]]]] = [
     ("the line takes nothing for 4 s", lambda: stalled(4.0, 5.0)),
     ("the line takes nothing for 1.5 s and nobody tells: a full buffer", full),
     ("100 bytes are lost on the line", half),
-    ("unplugged for good", lambda: told(faults.unplugged(None))),
-    ("unplugged, and plugged in again after 0.4 s", lambda: told(faults.unplugged(0.4))),
-    ("the player gets SIGKILL", lambda: told(faults.player_killed())),
+    ("unplugged for good", lambda: outcome_text(faults.unplugged(None))),
+    ("unplugged, and plugged in again after 0.4 s", lambda: outcome_text(faults.unplugged(0.4))),
+    ("the player gets SIGKILL", lambda: outcome_text(faults.player_killed())),
     ("the caller gets SIGKILL", lambda: ended(signal.SIGKILL)),
     ("the caller gets SIGINT", lambda: ended(signal.SIGINT)),
     ("the caller gets SIGTERM", lambda: ended(signal.SIGTERM)),
@@ -110,15 +110,15 @@ virtual SonicSurface with 88 new frames a second. A torn frame is one that was p
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", type=Path, help="markdown file to write")
-    given = parser.parse_args()
+    args = parser.parse_args()
     lines = ["| fault | what came of it | off at the end | torn |", "|---|---|---|---|"]
     print("\n".join(lines))
     for name, measure in CASES:
         words, result = measure()
         lines.append(f"| {name} | {words} | {'yes' if result.off else '**no**'} | {result.torn} |")
         print(lines[-1], flush=True)
-    if given.write is not None:
-        given.write.write_text(f"{HEAD}{processor()}; commit {git_commit()}.\n\n" + "\n".join(lines) + "\n")
+    if args.write is not None:
+        args.write.write_text(f"{HEAD}{processor()}; commit {git_commit()}.\n\n" + "\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -209,11 +209,11 @@ def main() -> None:
             smooth = march(stepper, loads["shadow by points"], surface)
             smoother[scene] = relative(smooth, truths["finger's shadow"])[1]
     if arguments.write:
-        asked = " ".join([*arguments.scenes, "--blocks", *map(str, arguments.blocks)])
+        command = " ".join([*arguments.scenes, "--blocks", *map(str, arguments.blocks)])
         jumps = {
             name: relative(truths["finger's shadow"], truths["shadow by points"]) for name, (_, truths) in known.items()
         }
-        write(arguments.write, lines, curves, jumps, smoother, asked, arguments.commit or git_commit())
+        write(arguments.write, lines, curves, jumps, smoother, command, arguments.commit or git_commit())
 
 
 def base_table(lines: list[str]) -> list[str]:
@@ -233,12 +233,12 @@ def error_table(lines: list[str]) -> list[str]:
     table.append("|---" * (1 + len(scenes)) + "|")
     for load in dict.fromkeys(row[6] for row in rows):
         found = {row[0]: (row[7].split(" / "), row[10].split(" / ")) for row in rows if row[6] == load}
-        said = (f"{mine[0]} / {stated[0]}, {mine[1]} / {stated[1]}" for mine, stated in found.values())
-        table.append(f"| {load} | {' | '.join(said)} |")
+        pairs = (f"{mine[0]} / {stated[0]}, {mine[1]} / {stated[1]}" for mine, stated in found.values())
+        table.append(f"| {load} | {' | '.join(pairs)} |")
     return table
 
 
-def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dict, asked: str, commit: str) -> None:
+def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dict, command: str, commit: str) -> None:
     """The page with its picture.
 
     jumps: what a shadow by points changes in the whole layer's displacement and velocity, by scene; smoother: what the
@@ -271,7 +271,7 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dic
         "(consistency;",
         "[skin](skin.md) has tests of accuracy).",
         "",
-        f"Written by `python scripts/verification/check_modes.py {asked} --write docs/bench/modes.md`, commit "
+        f"Written by `python scripts/verification/check_modes.py {command} --write docs/bench/modes.md`, commit "
         f"{commit}, {processor()}, Python {platform.python_version()}.",
         "",
         "- `:sheets` has the sheets finger_pad, palm and forearm in shares of 0.1, 0.3 and 0.6, with three "

@@ -93,7 +93,7 @@ def page(seconds: float, load: str, commit: str) -> tuple[str, bool]:
     works: list[Callable[[threading.Event], None]] = [stepping, svds]
     autd = stream_autd(seconds, works, True), stream_autd(seconds, works, False)
     sonic = play_sonic(seconds, works, True), play_sonic(seconds, works, False)
-    wanted = goals(autd, sonic)
+    goals_met = goals(autd, sonic)
     lines = [
         "# Delays of the player", "",
         "For everyone who drives hardware. Written by `python scripts/verification/check_player.py --seconds "
@@ -111,9 +111,9 @@ def page(seconds: float, load: str, commit: str) -> tuple[str, bool]:
         "|---|---|---|---|---|---|---|---|",
         sonic_row("with priority", sonic[0]), sonic_row("without", sonic[1]),
         "", "## Goals", "", "| goal | result | met |", "|---|---|---|",
-        *(f"| {what} | {came} | {'yes' if met else '**no**'} |" for what, came, met in wanted),
+        *(f"| {what} | {came} | {'yes' if met else '**no**'} |" for what, came, met in goals_met),
     ]  # fmt: skip
-    return "\n".join(lines) + "\n", all(met for _, _, met in wanted)
+    return "\n".join(lines) + "\n", all(met for _, _, met in goals_met)
 
 
 def main() -> int:
@@ -122,12 +122,12 @@ def main() -> int:
     parser.add_argument("--write", type=Path, help="the page")
     parser.add_argument("--load", default="nothing that was told", help="what else the machine does, in words")
     parser.add_argument("--commit", default="", help="for the head, where no git is [default: git's]")
-    given = parser.parse_args()
-    print(f"four runs of {given.seconds:g} s, some {4 * given.seconds + 15:.0f} s in all", file=sys.stderr, flush=True)
-    text, met = page(given.seconds, given.load, given.commit or git_commit())
+    args = parser.parse_args()
+    print(f"four runs of {args.seconds:g} s, some {4 * args.seconds + 15:.0f} s in all", file=sys.stderr, flush=True)
+    text, met = page(args.seconds, args.load, args.commit or git_commit())
     print(text)
-    if given.write is not None:
-        given.write.write_text(text)
+    if args.write is not None:
+        args.write.write_text(text)
     return int(not met)
 
 

@@ -137,9 +137,9 @@ def screen_integral(
     rising = there * (points[:, 2] - screen_m) / onward
     away = np.linalg.norm(cells[:, None] - arrays.array.positions, axis=2).T
     arrives = area * np.exp(1j * k * away) / away
-    taken = 0.5 * ((arrives * screen_m / away) @ there + arrives @ rising)
+    field = 0.5 * ((arrives * screen_m / away) @ there + arrives @ rising)
     whole = np.linalg.norm(points[:, None] - arrays.array.positions, axis=2)
-    left: Complex = 1.0 - k / (2j * np.pi) * taken.T * whole * np.exp(-1j * k * whole)
+    left: Complex = 1.0 - k / (2j * np.pi) * field.T * whole * np.exp(-1j * k * whole)
     return left
 
 

@@ -181,11 +181,11 @@ def main() -> int:
     parser.add_argument("--write", type=Path, help="the page")
     parser.add_argument("--seconds", type=float, default=10.0, help="of each loop")
     parser.add_argument("--commit", default="", help="for the head, where no git is [default: git's]")
-    given = parser.parse_args()
-    text, worst = page(given.seconds, given.write, given.commit or git_commit())
+    args = parser.parse_args()
+    text, worst = page(args.seconds, args.write, args.commit or git_commit())
     print(text)
-    if given.write is not None:
-        given.write.write_text(text)
+    if args.write is not None:
+        args.write.write_text(text)
     return int(worst.p95_ms > GOAL_MS)
 
 

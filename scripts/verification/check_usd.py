@@ -114,7 +114,7 @@ def _places(result: xr.DataTree) -> dict[str, str]:
 def _forces(stage: Usd.Stage, result: xr.DataTree, codes: np.ndarray, summary: dict) -> tuple[float, float]:
     """The largest differences in a frame, and of the mean over the steps, in percent."""
     worst, worst_mean = 0.0, 0.0
-    told = {skin["name"]: skin for skin in summary["skins"]}
+    by_name = {skin["name"]: skin for skin in summary["skins"]}
     steps = result.coords["step_time"].values
     length = float(np.median(np.diff(steps)))
     for prim, skin in _places(result).items():
@@ -139,7 +139,7 @@ def _forces(stage: Usd.Stage, result: xr.DataTree, codes: np.ndarray, summary: d
         # Time codes in the middle of the steps
         middle = np.interp(steps + 0.5 * length, codes / stage.GetTimeCodesPerSecond(), codes)
         mean = np.mean([total(code) for code in np.round(middle)], axis=0)
-        summed = np.array(told[skin]["total_force_mean_N"])
+        summed = np.array(by_name[skin]["total_force_mean_N"])
         if np.linalg.norm(summed) > 0.0:
             worst_mean = max(worst_mean, 100.0 * float(np.linalg.norm(mean - summed) / np.linalg.norm(summed)))
     return worst, worst_mean
@@ -239,8 +239,8 @@ def large_rows(out: Path) -> list[str]:
         started = time.perf_counter()
         write_usd(result, out / "large.usdc", Shown(colour=colour, quantities=both, magnify=magnify))
         size, spent = (out / "large.usdc").stat().st_size, time.perf_counter() - started
-        told = colour + (", and magnified points" if magnify else "")
-        rows.append(f"| {told} | {size / 1e6:.2f} | {spent:.1f} |")
+        words = colour + (", and magnified points" if magnify else "")
+        rows.append(f"| {words} | {size / 1e6:.2f} | {spent:.1f} |")
     (out / "large.usdc").unlink()
     return rows
 

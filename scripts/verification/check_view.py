@@ -86,7 +86,7 @@ def cpu_of(pid: int | None) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def asked(talk: Connection) -> int:
+def requests_of(talk: Connection) -> int:
     """Pictures that the client has got so far."""
     talk.send("how many")
     count: int = talk.recv()
@@ -115,7 +115,7 @@ def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: i
 
         def steps(seconds: float, page: bool) -> Stretch:
             begun, began_s, began_cpu = live.sim.time, time.monotonic(), time.process_time()
-            page_cpu, before = cpu_of(link.pid), asked(talk) if page else 0
+            page_cpu, before = cpu_of(link.pid), requests_of(talk) if page else 0
             while time.monotonic() < began_s + seconds:
                 if not page:
                     live.sim.step()
@@ -125,7 +125,7 @@ def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: i
                 live.go_on()
             took, cpu = time.monotonic() - began_s, time.process_time() - began_cpu
             count = max((live.sim.time - begun) / live.sim.model.opt.timestep, 1.0)
-            pictures = (asked(talk) - before) / len(live.sim.skins) if page else 0
+            pictures = (requests_of(talk) - before) / len(live.sim.skins) if page else 0
             own = (cpu_of(link.pid) - page_cpu) / took
             return Stretch(count / took, 1e6 * cpu / count, own, pictures / took, os.getloadavg()[0])
 
@@ -171,14 +171,14 @@ def table(result: Measured, command: str, page: Path) -> str:
         f"{a.cpu_us:.0f} | {a.cpu_us / b.cpu_us - 1.0:+.1%} | {a.pictures_s:.1f} | {a.page_share:.2f} | {a.load:.1f} |"
         for number, (a, b) in enumerate(zip(result.shown, result.alone, strict=True), 1)
     ]
-    kept = keep_rows(page, rows, f"view_{Path(result.scene).stem}_{result.device.partition(':')[0]}")
+    others = keep_rows(page, rows, f"view_{Path(result.scene).stem}_{result.device.partition(':')[0]}")
     return "\n".join(
         [
             f"## {result.scene} on {'the CPU' if result.device == 'cpu' else 'a GPU'}", "",
             f"`{command}`, on {machine(result.device)}. {result.rate_Hz:g} pictures a second were requested, "
             f"and **{result.pictures_s:.1f}** arrived. With the page, the simulation was **{result.slower:+.1%}** "
             f"slower and a step took **{result.more_cpu:+.1%}** more CPU time of its own process (medians; "
-            f"{kept}).", "",
+            f"{others}).", "",
         ]
     )  # fmt: skip
 
@@ -198,8 +198,8 @@ def write(result: Measured, command: str, path: Path) -> None:
     heading = new.partition("\n")[0]
     old = path.read_text() if path.exists() else HEAD
     parts = old.split("\n## ")
-    kept = [part for part in parts[1:] if f"## {part.partition(chr(10))[0]}" != heading]
-    sections = sorted([f"## {part.rstrip()}\n" for part in kept] + [new])
+    others = [part for part in parts[1:] if f"## {part.partition(chr(10))[0]}" != heading]
+    sections = sorted([f"## {part.rstrip()}\n" for part in others] + [new])
     path.write_text(HEAD + "\n".join(sections))
 
 
@@ -211,14 +211,12 @@ def main() -> None:
     words.add_argument("--stretches", type=int, default=9)
     words.add_argument("--seconds", type=float, default=4.0, help="of a stretch")
     words.add_argument("--page", type=Path, default=PAGE, help="page to write")
-    given = words.parse_args()
-    result = measure(given.scene, given.device, given.rate, given.stretches, given.seconds)
-    name = given.scene.resolve()
-    told = name.relative_to(ROOT) if name.is_relative_to(ROOT) else name
-    command = f"python scripts/verification/check_view.py {told}" + (
-        f" --device {given.device}" if given.device else ""
-    )
-    write(result, command, given.page)
+    args = words.parse_args()
+    result = measure(args.scene, args.device, args.rate, args.stretches, args.seconds)
+    name = args.scene.resolve()
+    shown = name.relative_to(ROOT) if name.is_relative_to(ROOT) else name
+    command = f"python scripts/verification/check_view.py {shown}" + (f" --device {args.device}" if args.device else "")
+    write(result, command, args.page)
 
 
 if __name__ == "__main__":

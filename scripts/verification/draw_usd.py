@@ -192,15 +192,15 @@ def main() -> None:
     parser.add_argument("picture", type=Path)
     parser.add_argument("--code", type=float, default=None, help="time code [default: the middle]")
     parser.add_argument("--magnified", action="store_true", help="choose the variant with magnified motion")
-    given = parser.parse_args()
-    stage = Usd.Stage.Open(str(given.scene))
-    if given.magnified:
+    args = parser.parse_args()
+    stage = Usd.Stage.Open(str(args.scene))
+    if args.magnified:
         stage.SetEditTarget(stage.GetSessionLayer())
         for prim in stage.Traverse():
             if "motion" in prim.GetVariantSets().GetNames() and prim.IsA(UsdGeom.Mesh):
                 prim.GetVariantSets().GetVariantSet("motion").SetVariantSelection("magnified")
-    code = given.code if given.code is not None else 0.5 * (stage.GetStartTimeCode() + stage.GetEndTimeCode())
-    draw(stage, code, given.picture, f"{given.scene.name}, {code / stage.GetTimeCodesPerSecond() * 1e3:.2f} ms")
+    code = args.code if args.code is not None else 0.5 * (stage.GetStartTimeCode() + stage.GetEndTimeCode())
+    draw(stage, code, args.picture, f"{args.scene.name}, {code / stage.GetTimeCodesPerSecond() * 1e3:.2f} ms")
 
 
 if __name__ == "__main__":

@@ -35,13 +35,13 @@ START, SWAP = 254, 253
 @dataclass
 class Outcome:
     """off: whether the board was silent at the end; torn: frames that were played with too few bytes or too many
-    said: what the caller was told; report: of the player, where it ended well
+    message: for the caller; report: of the player, where it ended well
     emitted_s, late_s: of numbered frames, when they sounded on the board's clock and how late [s]
     """
 
     off: bool
     torn: int
-    said: str = ""
+    message: str = ""
     report: PlayReport | None = None
     emitted_s: list[float] = field(default_factory=list)
     late_s: list[float] = field(default_factory=list)
@@ -90,10 +90,10 @@ def torn_frames(received: bytes) -> int:
 def outcome(board: VirtualBoard, rate_Hz: float = RATE_HZ, **more: Any) -> Outcome:
     """What came of it, once the line is quiet."""
     board.settle(0.2)
-    heard = [(change.time_s, number_of(change.amplitudes)) for change in board.emitted if change.amplitudes.all()]
-    heard = heard[1 if heard and heard[0][1] == 0 and len(heard) > 1 and heard[1][1] == 0 else 0 :]
-    when = [at for at, _ in heard]
-    offsets = [at - number / rate_Hz for at, number in heard]
+    emitted = [(change.time_s, number_of(change.amplitudes)) for change in board.emitted if change.amplitudes.all()]
+    emitted = emitted[1 if emitted and emitted[0][1] == 0 and len(emitted) > 1 and emitted[1][1] == 0 else 0 :]
+    when = [at for at, _ in emitted]
+    offsets = [at - number / rate_Hz for at, number in emitted]
     late = [offset - min(offsets) for offset in offsets]
     return Outcome(
         not board.twin.emitted.any(), torn_frames(bytes(board.received)), emitted_s=when, late_s=late, **more
@@ -112,12 +112,12 @@ def at(moments: list[tuple[float, Callable[[], None]]]) -> Iterator[None]:
 
 
 def play(board: VirtualBoard, seconds: float, rate_Hz: float = RATE_HZ, **settings: Any) -> dict[str, Any]:
-    """Play in this process's player; what was said and reported."""
+    """Play in this process's player; its message and report."""
     try:
         with Player(BOARD, board.port, **settings) as player:
             return {"report": player.play(frames(seconds, rate_Hz))}
     except DeviceError as error:
-        return {"said": str(error)}
+        return {"message": str(error)}
 
 
 # -- the line ----------------------------------------------------------------------------------------------------------
@@ -273,15 +273,15 @@ def caller_pauses(number: int) -> Outcome:
 def player_killed() -> Outcome:
     """kill -9 of the player."""
     with VirtualBoard(BOARD, realtime=True) as board:
-        said = ""
+        message = ""
         try:
             with Player(BOARD, board.port) as player:
                 kill = lambda: os.kill(player._process.pid, signal.SIGKILL)  # noqa: E731
                 with at([(0.7, kill)]):
                     player.play(frames(3.0))
         except DeviceError as error:
-            said = str(error)
-        return outcome(board, said=said)
+            message = str(error)
+        return outcome(board, message=message)
 
 
 @contextmanager
@@ -303,10 +303,10 @@ def host_at_100(seconds: float = 2.0, realtime: bool = True) -> Outcome:
     with board_process() as (port, ended), busy_host(), machine_pauses() as pauses:
         with Player(BOARD, port, realtime=realtime) as player:
             report = player.play(frames(seconds))
-        heard = ended()
+        emitted = ended()
         numbers = {"pauses": float(sum(pause > 0.5 * FRAME_S for _, pause in pauses()))}
         return Outcome(
-            heard["off"], heard["torn"], "", report, heard["emitted_s"], heard["late_s"], numbers
+            emitted["off"], emitted["torn"], "", report, emitted["emitted_s"], emitted["late_s"], numbers
         )  # fmt: skip
 
 
@@ -340,8 +340,8 @@ def machine_pauses() -> Iterator[Callable[[], list[tuple[float, float]]]]:
     ]  # fmt: skip
 
     def ended() -> list[tuple[float, float]]:
-        told = [process.communicate("\n")[0] if process.poll() is None else "" for process in processes]
-        return max((json.loads(one) for one in told if one), key=stood_s, default=[])
+        outputs = [process.communicate("\n")[0] if process.poll() is None else "" for process in processes]
+        return max((json.loads(one) for one in outputs if one), key=stood_s, default=[])
 
     try:
         yield ended

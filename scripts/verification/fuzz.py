@@ -27,11 +27,11 @@ BAD = ("traceback", "crash", "too long", "accepted against a rule", "refused in 
 
 
 class Outcome(NamedTuple):
-    """Of a case: refused, accepted or one of BAD; said: the message, or what is known of a crash."""
+    """Of a case: refused, accepted or one of BAD; message: the text, or what is known of a crash."""
 
     case: Case
     outcome: str
-    said: str
+    message: str
     seconds: float
 
 
@@ -48,12 +48,12 @@ def run_cases(cases: list[Case], longest_s: float = LONGEST_S) -> list[Outcome]:
             starts += 1
     found = []
     for number, case in enumerate(cases):
-        outcome, said, seconds = results[number]
+        outcome, message, seconds = results[number]
         if outcome == "accepted" and case.forbidden:
             outcome = "accepted against a rule"
-        if outcome == "refused" and RAW.search(said):
+        if outcome == "refused" and RAW.search(message):
             outcome = "refused in raw words"
-        found.append(Outcome(case, outcome, said, seconds))
+        found.append(Outcome(case, outcome, message, seconds))
     return found
 
 
@@ -72,11 +72,11 @@ def _one_process(
         if not line:
             ended = "crash" if ready else "too long"
             break
-        told = json.loads(line)
-        if told["outcome"] == "began":
-            began, last = told["number"], time.monotonic()
+        line_facts = json.loads(line)
+        if line_facts["outcome"] == "began":
+            began, last = line_facts["number"], time.monotonic()
         else:
-            results[told["number"]] = told["outcome"], told["said"], told["seconds"]
+            results[line_facts["number"]] = line_facts["outcome"], line_facts["said"], line_facts["seconds"]
     worker.kill()
     code = worker.wait()
     if began not in results:
@@ -136,7 +136,7 @@ def main() -> int:
     ]
     bad = [one for one in outcomes if one.outcome in BAD]
     for one in bad:
-        print(f"{one.outcome}: {one.case.kind}, {one.case.fault}: {one.case.values}\n  {one.said}", file=sys.stderr)
+        print(f"{one.outcome}: {one.case.kind}, {one.case.fault}: {one.case.values}\n  {one.message}", file=sys.stderr)
     print("\n".join(page))
     if arguments.write is not None:
         # The parts of fuzz_lines.py and fuzz_trees.py stay

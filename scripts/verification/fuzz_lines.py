@@ -156,7 +156,7 @@ class Sender:
     def give(self, kind: str, lines: list[bytes], number: int) -> None:
         """Send lines and see that each is counted. number: of a good line that may go before them"""
         for _ in range(10):
-            if self._given(kind, lines, number):
+            if self._send(kind, lines, number):
                 return
             self.again += 1
             if self._out is not None:
@@ -164,7 +164,7 @@ class Sender:
             self._out = None
         self.faults.append(f"not counted once each after ten times: {lines[0][:80]!r} ...")
 
-    def _given(self, kind: str, lines: list[bytes], number: int) -> bool:
+    def _send(self, kind: str, lines: list[bytes], number: int) -> bool:
         listener = self.listener
         try:
             if self._out is None:
@@ -185,12 +185,12 @@ class Sender:
     def _counted(self, lines: list[bytes]) -> Counter[str] | None:
         """How lines are counted; None where some waited too long, or nothing was heard of them."""
         listener, ends = self.listener, time.monotonic() + 10.0
-        taken, bad = listener.received, Counter(listener.bad)
+        received, bad = listener.received, Counter(listener.bad)
         assert self._out is not None
         self._out.sendall(b"".join(line + b"\n" for line in lines))
         while time.monotonic() < ends:
             listener.check()
-            counted = Counter({"taken": listener.received - taken}) + (listener.bad - bad)
+            counted = Counter({"taken": listener.received - received}) + (listener.bad - bad)
             if counted["stale"] or counted["second sender"] or counted.total() > len(lines):
                 return None
             if counted.total() == len(lines):
@@ -209,9 +209,9 @@ def sent(door: str, count: int, seed: int) -> tuple[Counter[tuple[str, str]], li
             if len(sender.faults) > 20:
                 break
         # After all of them a good line counts
-        taken = listener.received
+        received = listener.received
         sender.give("none", [_text(good(door, number + 9000 + n)).encode() for n in range(15)], number)
-        if listener.received == taken:
+        if listener.received == received:
             sender.faults.append(f"good lines of {door} were not taken: {listener.reported[-3:]}")
     outcomes, faults = sender.outcomes, sender.faults
     for text in listener.reported:
@@ -233,9 +233,9 @@ def main() -> int:
         outcomes, own, repeated = sent(door, arguments.lines // len(DOORS), arguments.seed)
         faults, again = faults + own, again + repeated
         for kind in sorted({kind for kind, _ in outcomes}):
-            taken = outcomes.get((kind, "taken"), 0)
-            bad = sum(count for (own_kind, _), count in outcomes.items() if own_kind == kind) - taken
-            rows.setdefault(kind, []).append(f"{taken}, {bad}")
+            received = outcomes.get((kind, "taken"), 0)
+            bad = sum(count for (own_kind, _), count in outcomes.items() if own_kind == kind) - received
+            rows.setdefault(kind, []).append(f"{received}, {bad}")
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
     part = [
         HEADING,

@@ -401,7 +401,7 @@ def main() -> int:
     ]
     bad = [one for one in outcomes if one.outcome in BAD]
     for one in bad:
-        print(f"{one.outcome}: {one.case.fault}\n{one.case.files}\n  {one.said}\n", file=sys.stderr)
+        print(f"{one.outcome}: {one.case.fault}\n{one.case.files}\n  {one.message}\n", file=sys.stderr)
     print("\n".join(section))
     if arguments.write is not None:
         page = arguments.write.read_text()

@@ -40,7 +40,7 @@ def planned_and_stepped(path: Path) -> None:
         assert np.isfinite(sim.data.sensordata).all(), f"sensors are {sim.data.sensordata}"
 
 
-def given(case: Case, folder: Path) -> None:
+def load_case(case: Case, folder: Path) -> None:
     """Open what a case says as a user's scene would. Raises what palmfield raises."""
     folder.mkdir(parents=True)
     for name, data in case.files.items():
@@ -62,15 +62,15 @@ def main() -> None:
     for number in range(int(sys.argv[2]), len(cases)):
         print(json.dumps({"number": number, "outcome": "began"}), flush=True)
         start = time.perf_counter()
-        outcome, said = "accepted", ""
+        outcome, message = "accepted", ""
         try:
-            given(cases[number], Path(sys.argv[3]) / str(number))
+            load_case(cases[number], Path(sys.argv[3]) / str(number))
         except PalmfieldError as error:
-            outcome, said = "refused", str(error)
+            outcome, message = "refused", str(error)
         except BaseException as error:
-            outcome, said = "traceback", "".join(traceback.format_exception(error))
+            outcome, message = "traceback", "".join(traceback.format_exception(error))
         seconds = time.perf_counter() - start
-        print(json.dumps({"number": number, "outcome": outcome, "said": said, "seconds": seconds}), flush=True)
+        print(json.dumps({"number": number, "outcome": outcome, "said": message, "seconds": seconds}), flush=True)
 
 
 if __name__ == "__main__":

@@ -95,11 +95,13 @@ def scene_changes(
             over = exceeded(name, words, rows[words], own[known])
             all_over += [f"{label}, {words}: {over}"] if over else []
             took = time.perf_counter() - begun
-            print(f"{label}: {words}: {told(rows[words])} {'OVER ' + over if over else ''} ({took:.1f} s)", flush=True)
+            print(
+                f"{label}: {words}: {row_text(rows[words])} {'OVER ' + over if over else ''} ({took:.1f} s)", flush=True
+            )
         return rows, float(own[()].stated), all_over
 
 
-def told(row: Mapping[str, float]) -> str:
+def row_text(row: Mapping[str, float]) -> str:
     return ", ".join(f"{what} {value:.2g}" for what, value in row.items())
 
 
@@ -120,15 +122,15 @@ def page(
         table = [" | ".join(["| scene", *own, *VARIANTS]) + " |", ""]
         most: dict[str, tuple[float, str]] = {}
         for label, rows in found.items():
-            told_row = [f"{100 * stated[label]:.2g}"] if own else []
+            own_cells = [f"{100 * stated[label]:.2g}"] if own else []
             for variant in VARIANTS:
                 if variant not in rows:
-                    told_row.append("-")
+                    own_cells.append("-")
                     continue
                 value = rows[variant][what] / (0.01 * stated[label] if own else 1.0)
                 most[variant] = max(most.get(variant, (-1.0, "")), (value, label))
-                told_row.append(f"{value:.2g}" if value else "0")
-            table.append(" | ".join([f"| {label}", *told_row]) + " |")
+                own_cells.append(f"{value:.2g}" if value else "0")
+            table.append(" | ".join([f"| {label}", *own_cells]) + " |")
         links.append(keep_rows(out, table, f"invariants_{what.lower()}"))
         for variant, (value, label) in most.items():
             largest[variant].append(f"{value:.2g} ({label})" if value else "0")
@@ -149,8 +151,8 @@ def page(
     apart = max((rows["turned and shifted"]["position"] for rows in found.values()), default=0.0)
     elsewhere = max((rows["mirrored"]["mesh"] for rows in found.values()), default=0.0)
     figures = {"apart_mm": 1e3 * apart, "elsewhere": 100.0 * elsewhere}
-    told_over = f"Exceeded: {'; '.join(over)}." if over else "None is exceeded."
-    lines.append(LAST.format(rounding=LIMITS["ARP"], p0=PUSHED["ARP"], over=told_over, **figures).strip())
+    over_text = f"Exceeded: {'; '.join(over)}." if over else "None is exceeded."
+    lines.append(LAST.format(rounding=LIMITS["ARP"], p0=PUSHED["ARP"], over=over_text, **figures).strip())
     return "\n".join(lines) + "\n"
 
 

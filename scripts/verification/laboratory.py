@@ -45,11 +45,11 @@ class Laboratory:
         """What a recorder of that many bits, ranged to the loudest reading, makes of complex pressures."""
         loudest = np.abs(pressure).max()
         noise = self.random.normal(size=(2, *pressure.shape)) * self.noise * loudest / np.sqrt(2.0)
-        seen = pressure + noise[0] + 1j * noise[1]
+        noisy = pressure + noise[0] + 1j * noise[1]
         if self.bits is None:
-            return seen
+            return noisy
         step = 2.0 * loudest / 2**self.bits
-        return step * (np.rint(seen.real / step) + 1j * np.rint(seen.imag / step))
+        return step * (np.rint(noisy.real / step) + 1j * np.rint(noisy.imag / step))
 
     def _direct(self, at: np.ndarray) -> np.ndarray:
         way = at[:, None] - self.positions[None]

@@ -55,7 +55,7 @@ class Outcome(NamedTuple):
 
     mutation: Mutation
     red: bool
-    said: str
+    message: str
     seconds: float
 
 
@@ -125,13 +125,13 @@ def pytest_under(tree: Path, fault: Path, was: str, tests: Sequence[str], longes
 
     The fork takes the functions that differ, so that it need not import the rest again.
     """
-    asked = imported(tree)
-    asked.send((_options(tree, tests), fault, was))
-    number = asked.recv()
-    late = not asked.poll(longest_s)
+    requests = imported(tree)
+    requests.send((_options(tree, tests), fault, was))
+    number = requests.recv()
+    late = not requests.poll(longest_s)
     if late:
         os.kill(number, signal.SIGKILL)
-    code = asked.recv()
+    code = requests.recv()
     if late:
         return Ended(-1, f"took more than {longest_s:g} s", {})
     return _ended(tree, code)
@@ -180,16 +180,16 @@ def _run_pytest(tree: Path, environment: dict[str, str], options: list[str], sen
     sender.send(int(pytest.main(options)))
 
 
-def _fork_on_request(tree: Path, environment: dict[str, str], asked: Connection) -> None:
+def _fork_on_request(tree: Path, environment: dict[str, str], requests: Connection) -> None:
     """Send the number of a fork that runs pytest with a fault, and then its exit code, for each request."""
     _import_from(tree, environment)
     package = importlib.import_module("palmfield")
     for name in package.__all__:
         getattr(package, name)
-    asked.send(None)
+    requests.send(None)
     while True:
         try:
-            options, fault, was = asked.recv()
+            options, fault, was = requests.recv()
         except EOFError:
             return
         number = os.fork()
@@ -197,12 +197,12 @@ def _fork_on_request(tree: Path, environment: dict[str, str], asked: Connection)
             code = -2
             try:
                 _print_to(tree)
-                code = int(pytest.main(options)) if take_functions(fault, was) else NOT_BY_FUNCTIONS
+                code = int(pytest.main(options)) if replace_functions(fault, was) else NOT_BY_FUNCTIONS
                 sys.stdout.flush()
             finally:
                 os._exit(code)
-        asked.send(number)
-        asked.send(os.waitstatus_to_exitcode(os.waitpid(number, 0)[1]))
+        requests.send(number)
+        requests.send(os.waitstatus_to_exitcode(os.waitpid(number, 0)[1]))
 
 
 def _print_to(tree: Path) -> None:
@@ -223,7 +223,7 @@ def _import_from(tree: Path, environment: dict[str, str]) -> None:
     importlib.import_module("palmfield.engine.register").register()
 
 
-def take_functions(path: Path, was: str) -> bool:
+def replace_functions(path: Path, was: str) -> bool:
     """Give all functions of a module, wherever they are held, the code that its file has now.
 
     was: the file's text when the module was imported, if it was
@@ -286,11 +286,11 @@ def outcome_of(tree: Path, mutation: Mutation) -> Outcome:
     was = fault.read_text(encoding="utf-8")
     imported(tree)
     with mutated(tree, mutation):
-        red, said = judged(mutation, pytest_under(tree, fault, was, [mutation.test], LONGEST_S))
+        red, message = judged(mutation, pytest_under(tree, fault, was, [mutation.test], LONGEST_S))
         if not red:
             # The fault may be in what runs on import, of this module or of those that call it then
-            red, said = judged(mutation, pytest_in(tree, [mutation.test], LONGEST_S))
-    return Outcome(mutation, red, said, time.perf_counter() - began)
+            red, message = judged(mutation, pytest_in(tree, [mutation.test], LONGEST_S))
+    return Outcome(mutation, red, message, time.perf_counter() - began)
 
 
 def unmutated(tree: Path, mutations: Sequence[Mutation]) -> tuple[bool, str]:
@@ -336,11 +336,11 @@ def page(outcomes: Sequence[Outcome]) -> str:
     ]
     stages = Counter(one.mutation.stage for one in outcomes)
     lines += [f"Faults by stage: {', '.join(f'{stage} {count}' for stage, count in stages.items())}.", ""]
-    lines += [f"- not found: `{one.mutation.test}`: {one.said}" for one in outcomes if not one.red]
+    lines += [f"- not found: `{one.mutation.test}`: {one.message}" for one in outcomes if not one.red]
     seconds = sum(one.seconds for one in outcomes)
     load = f"at a load average of {os.getloadavg()[0]:.1f}"
-    said = f"All tests together take {seconds:.0f} s, one process each, {load}."
-    return "\n".join([*lines, said, ""])
+    message = f"All tests together take {seconds:.0f} s, one process each, {load}."
+    return "\n".join([*lines, message, ""])
 
 
 def main() -> int:
@@ -350,24 +350,24 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2, help="processes at once, 2 by default")
     parser.add_argument("--write", type=Path, metavar="PAGE", help="write the page of results")
     arguments = parser.parse_args()
-    wanted = [one for one in MUTATIONS if all(word in f"{one.stage} {one.name}" for word in arguments.names)]
-    if not wanted:
+    chosen = [one for one in MUTATIONS if all(word in f"{one.stage} {one.name}" for word in arguments.names)]
+    if not chosen:
         parser.error(f"no mutation has {' '.join(arguments.names)!r} in its name or stage: see --list")
     if arguments.list:
-        print("\n".join(f"{one.stage}: {one.name} ({one.file}) -> {one.test}" for one in wanted))
+        print("\n".join(f"{one.stage}: {one.name} ({one.file}) -> {one.test}" for one in chosen))
         return 0
     with tempfile.TemporaryDirectory() as folder:
         tree = copied(Path(folder))
-        print(f"tests of {len(wanted)} mutations without them", flush=True)
-        passed, output = unmutated(tree, wanted)
+        print(f"tests of {len(chosen)} mutations without them", flush=True)
+        passed, output = unmutated(tree, chosen)
         if not passed:
             print(output)
             return 1
         outcomes = []
-        for one in outcomes_of(Path(folder), wanted, arguments.jobs):
+        for one in outcomes_of(Path(folder), chosen, arguments.jobs):
             outcomes.append(one)
             verdict, name = "red" if one.red else "NOT RED", f"{one.mutation.stage}, {one.mutation.name}"
-            print(f"{len(outcomes)}/{len(wanted)} {verdict} {one.seconds:.1f} s  {name}: {one.said}", flush=True)
+            print(f"{len(outcomes)}/{len(chosen)} {verdict} {one.seconds:.1f} s  {name}: {one.message}", flush=True)
     if arguments.write is not None:
         arguments.write.write_text(page(outcomes), encoding="utf-8")
     return 0 if all(one.red for one in outcomes) else 1

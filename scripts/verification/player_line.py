@@ -21,7 +21,7 @@ PRIORITY = 70
 
 
 @dataclass
-class Heard:
+class LineBytes:
     """data: all bytes that came, once the line has ended"""
 
     port: str
@@ -33,7 +33,7 @@ class Heard:
 
 
 @contextmanager
-def listened() -> Iterator[Heard]:
+def listened() -> Iterator[LineBytes]:
     """A pseudo-terminal at whose other end a process listens; what it heard is there after the block."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "heard"
@@ -42,13 +42,13 @@ def listened() -> Iterator[Heard]:
         )
         assert process.stdin is not None and process.stdout is not None
         try:
-            heard = Heard(process.stdout.readline().strip())
-            yield heard
+            line_bytes = LineBytes(process.stdout.readline().strip())
+            yield line_bytes
         finally:
             process.stdin.close()
             process.wait()
             process.stdout.close()
-        heard.data = file.read_bytes()
+        line_bytes.data = file.read_bytes()
 
 
 def main() -> None:

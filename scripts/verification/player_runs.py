@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from faults import machine_pauses
-from player_line import Heard, listened
+from player_line import LineBytes, listened
 
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.boards.autd2018 import PERIOD_S, Autd2018
@@ -100,13 +100,13 @@ def numbered(count: int) -> list[bytes]:
     return [board.packet((number % COUNTED, number // COUNTED, 0, FULL_WIDTH)) for number in range(count)]
 
 
-def lost(heard: Heard, sent: int) -> int:
+def lost(line_bytes: LineBytes, sent: int) -> int:
     """How many of so many numbered packets, sent once each, were not heard."""
     board = AUTD
     assert isinstance(board, Autd2018)
     numbers, at, size = set(), 0, board.frame_bytes
-    while at + size <= len(heard.data):
-        told = board.numbers(heard.data[at : at + size])
+    while at + size <= len(line_bytes.data):
+        told = board.numbers(line_bytes.data[at : at + size])
         # After a packet of which the system took a part only the next one begins elsewhere
         at += size if told is not None else 1
         if told is not None and told[3] == FULL_WIDTH:
@@ -162,5 +162,5 @@ def play_sonic(seconds: float, works: Sequence[Callable[[threading.Event], None]
     times = [number * SONIC.frame_time_s for number in range(round(seconds / SONIC.frame_time_s))]
     with listened() as line, Player(SONIC, line.port, realtime=priority) as player, busy(works):
         report = player.play([(at, frames[number % 32]) for number, at in enumerate(times)])
-    heard = line.frames(len(frames[0]), len(SONIC.start))
-    return SonicRun(report, sum(data in frames for data in heard))
+    line_bytes = line.frames(len(frames[0]), len(SONIC.start))
+    return SonicRun(report, sum(data in frames for data in line_bytes))

@@ -75,11 +75,11 @@ def _force_table(cases: list[dict[str, Any]]) -> str:
     lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
     for case in cases:
         measured = [case["as_measured"][one] for one in levels]
-        told = " | ".join("beyond sigma 1" if value is None else f"{value:.2f}" for value in measured)
+        texts = " | ".join("beyond sigma 1" if value is None else f"{value:.2f}" for value in measured)
         plate = f"{1e3 * case['plate_m']:.0f} mm"
         lines.append(
             f"| `{case['layout']}` | {1e3 * case['depth_m']:.0f} mm | {plate} | {case['ratio']:.3f} | "
-            f"{_error(case):.3f} | {told} | "
+            f"{_error(case):.3f} | {texts} | "
             f"{case['sigma']:.2f} | up to {100 * case['fringe']:.0f} % | up to {case['fringe_mean']:.2f} |"
         )
     return "\n".join(lines)
@@ -97,7 +97,7 @@ def _felt_table(findings: list[dict[str, Any]]) -> str:
         "|---" * (6 + len(OBSERVERS)) + "|",
     ]  # fmt: skip
     for one in findings:
-        sizes = [", ".join(_told(row[name]) for row in one["sizes"].values()) for name in OBSERVERS]
+        sizes = [", ".join(_text(row[name]) for row in one["sizes"].values()) for name in OBSERVERS]
         lines.append(
             f"| {one['name']} | {one['stimulus']} | {one['quantity']} [{one['unit']}] | {' | '.join(sizes)} | "
             f"{one['with_the_claim']} of {one['of']} | {one['claim']} | {one['baseline']} |"
@@ -105,7 +105,7 @@ def _felt_table(findings: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _told(value: float | None) -> str:
+def _text(value: float | None) -> str:
     return "none" if value is None else f"{value:.3g}"
 
 

@@ -61,7 +61,7 @@ class Outcome:
     """What was published. holds: whether the claim's direction came out; size: in the prediction's unit, or None"""
 
     source: str
-    told: str
+    text: str
     holds: bool
     size: float | None = None
 
@@ -118,7 +118,7 @@ def median(finding: dict[str, Any]) -> float:
     return statistics.median(value for row in finding["sizes"].values() for value in row.values() if value is not None)
 
 
-def size_told(finding: dict[str, Any], outcome: Outcome) -> str:
+def size_text(finding: dict[str, Any], outcome: Outcome) -> str:
     if outcome.size is None:
         return "none published"
     ours = median(finding)
@@ -151,14 +151,14 @@ def page(numbers: dict[str, Any], without_waves: list[dict[str, Any]]) -> str:
         ours_right, baseline_right = ours_right + ours, baseline_right + baseline
         still_right, same = still_right + unmoved, same + (predicted(still[name]) == predicted(one))
         lines.append(
-            f"| {name} | {one['claim']} | {predicted(one)} ({one['with_the_claim']} of {one['of']}) | {outcome.told} "
+            f"| {name} | {one['claim']} | {predicted(one)} ({one['with_the_claim']} of {one['of']}) | {outcome.text} "
             f"({outcome.source}) | {'right' if ours else 'wrong'} | {'right' if unmoved else 'wrong'} | "
             f"{'right' if baseline else 'wrong'} | "
-            f"{size_told(one, outcome)} |"
+            f"{size_text(one, outcome)} |"
         )
     sized = {name: outcome for name, outcome in OUTCOMES.items() if outcome.size is not None}
     within, still_within = (
-        sum("within" in size_told(rows[name], outcome) for name, outcome in sized.items()) for rows in (findings, still)
+        sum("within" in size_text(rows[name], outcome) for name, outcome in sized.items()) for rows in (findings, still)
     )
     return TEXT.format(
         ours=ours_right, baseline=baseline_right, still=still_right, same=same, of=len(OUTCOMES), within=within,

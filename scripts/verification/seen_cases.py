@@ -57,14 +57,14 @@ def disc(side: str, height: float = 0.02) -> Slab:
     return Slab((Sheet(GEL, height),), shape="disc", side=side, radius_m=0.06)
 
 
-def off(motion: Motion, known: Motion, field: str = "displacement_m") -> float:
+def off(motion: Motion, reference: Motion, field: str = "displacement_m") -> float:
     """True error: relative L2 over the times at the worst point."""
-    a, b = getattr(motion, field), getattr(known, field)
+    a, b = getattr(motion, field), getattr(reference, field)
     return float((np.linalg.norm(a - b, axis=(0, 2)) / np.linalg.norm(b, axis=(0, 2))).max())
 
 
-def stated(motion: Motion, known: Motion) -> str:
-    true = off(motion, known)
+def stated(motion: Motion, reference: Motion) -> str:
+    true = off(motion, reference)
     kept = "covered" if true <= motion.error else "NOT covered"
     return f"`{motion.solver.split(',')[0].split(':')[0]}` states {percent(motion.error)}, true {percent(true)}: {kept}"
 
@@ -75,34 +75,34 @@ def stated(motion: Motion, known: Motion) -> str:
 def sudden_box(accuracy: float) -> str:
     box = Slab((Sheet(GEL, 0.01),), shape="box", side="fixed", size_m=(0.05, 0.05))
     load, times = Spot(0.0103, [0.0], [1.0], law="held"), TIMES[:15]
-    known = solve(box, load, times, AT[:1], solver="spectral_elements", accuracy=0.004, device="cpu")
+    reference = solve(box, load, times, AT[:1], solver="spectral_elements", accuracy=0.004, device="cpu")
     solvers = ("auto", "wedges")
     answers = [solve(box, load, times, AT[:1], solver=name, accuracy=accuracy, device="cpu") for name in solvers]
-    return "; ".join(stated(answer, known) for answer in answers)
+    return "; ".join(stated(answer, reference) for answer in answers)
 
 
 def wide_spot(width: float) -> str:
     load = Spot(width, [0.0, 2e-3], [0.0, 1.0])
-    known = solve(disc("roller"), load, TIMES, AT, solver="axisymmetric", accuracy=1e-3, device="cpu")
+    reference = solve(disc("roller"), load, TIMES, AT, solver="axisymmetric", accuracy=1e-3, device="cpu")
     try:
         solve(disc("roller"), load, TIMES, AT, solver="lateral_waves", device="cpu")
         waves = "lateral_waves answer"
     except PalmfieldError:
         waves = "`lateral_waves` refuses"
-    return f"{stated(solve(disc('roller'), load, TIMES, AT, accuracy=0.02, device='cpu'), known)}; {waves}"
+    return f"{stated(solve(disc('roller'), load, TIMES, AT, accuracy=0.02, device='cpu'), reference)}; {waves}"
 
 
 def wide_spot_on_fixed_disc() -> str:
     load = Spot(0.2, [0.0, 2e-3], [0.0, 1.0])
-    known = solve(disc("fixed"), load, TIMES, AT, solver="axisymmetric", accuracy=1e-3, device="cpu")
-    return stated(solve(disc("fixed"), load, TIMES, AT, device="cpu"), known)
+    reference = solve(disc("fixed"), load, TIMES, AT, solver="axisymmetric", accuracy=1e-3, device="cpu")
+    return stated(solve(disc("fixed"), load, TIMES, AT, device="cpu"), reference)
 
 
 def velocity_of_a_motion() -> str:
     load = Spot(0.0103, [0.0, 4e-3], [0.0, 1.0])
-    known = solve(disc("fixed"), load, TIMES, AT, solver="axisymmetric", accuracy=1e-3, device="cpu")
+    reference = solve(disc("fixed"), load, TIMES, AT, solver="axisymmetric", accuracy=1e-3, device="cpu")
     motion = solve(disc("fixed"), load, TIMES, AT, accuracy=0.05, accuracy_of="velocity", device="cpu")
-    true = off(motion, known, "velocity_m_s")
+    true = off(motion, reference, "velocity_m_s")
     return f"`accuracy_of=velocity`: states {percent(motion.velocity_error)}, true {percent(true)}"
 
 
@@ -158,13 +158,13 @@ def table(*line: str) -> dict[str, str]:
 def body_of_the_plan() -> str:
     with scene() as path:
         text = str(palmfield.plan(path))
-    told = [word for word in ("hand", "finger", "palm") if f" {word}" in text.lower()]
-    return f"words about hands in a plan of a disc: {', '.join(told) if told else 'none'}"
+    warned = [word for word in ("hand", "finger", "palm") if f" {word}" in text.lower()]
+    return f"words about hands in a plan of a disc: {', '.join(warned) if warned else 'none'}"
 
 
 def hidden_focus() -> str:
     with scene(stimulus=STEADY | {"focus_m": "0 0 0.2"}, skin={"radius_m": 0.01}) as path:
-        return told(path)
+        return warned(path)
 
 
 # -- inputs ----------------------------------------------------------------------------------------------------------
@@ -217,14 +217,14 @@ def refused_scene(old: str = "", new: str = "", **changes: dict[str, object]) ->
         return text.replace(str(path.parent) + "/", "")
 
 
-def told(path: Path) -> str:
-    said = warnings(path)
-    return "warned: " + "; ".join(shortened(text) for text in said) if said else "SILENT"
+def warned(path: Path) -> str:
+    warnings_now = warnings(path)
+    return "warned: " + "; ".join(shortened(text) for text in warnings_now) if warnings_now else "SILENT"
 
 
 def warned_scene(**changes: dict[str, object]) -> str:
     with scene(**changes) as path:
-        return told(path)
+        return warned(path)
 
 
 def typed(*line: str) -> str:

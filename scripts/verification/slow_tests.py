@@ -28,8 +28,8 @@ def parts(files: list[str]) -> dict[str, list[float]]:
         for case in ET.parse(file).iter("testcase"):
             name = case.get("name", "").partition("[")[0]
             seconds = float(case.get("time", "0"))
-            for told in case.iterfind(f"properties/property[@name='{FIXTURE}']"):
-                fixture, _, took = told.get("value", "").rpartition(" ")
+            for prop in case.iterfind(f"properties/property[@name='{FIXTURE}']"):
+                fixture, _, took = prop.get("value", "").rpartition(" ")
                 found[fixture].append(float(took))
                 seconds -= float(took)
             found[f"{place(case.get('classname', ''))}::{name}"].append(max(seconds, 0.0))

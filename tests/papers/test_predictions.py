@@ -41,8 +41,8 @@ def test_directions_and_sizes_are_judged_by_the_rules_of_the_page():
         ("dB", 17.9, "within"),
         ("dB", 18.1, "outside"),
     ):
-        assert score.size_told({"sizes": sizes, "unit": unit}, score.Outcome("s", "t", True, size)).endswith(told)
-    assert score.size_told({"sizes": sizes, "unit": "mm"}, score.Outcome("s", "t", True)) == "none published"
+        assert score.size_text({"sizes": sizes, "unit": unit}, score.Outcome("s", "t", True, size)).endswith(told)
+    assert score.size_text({"sizes": sizes, "unit": "mm"}, score.Outcome("s", "t", True)) == "none published"
 
 
 def test_every_finding_and_case_has_numbers():

@@ -25,7 +25,7 @@ def outcomes() -> list[Outcome]:
 
 def test_two_hundred_malformed_inputs(outcomes):
     assert len({repr(one.case) for one in outcomes}) == COUNT
-    bad = [f"{one.outcome}: {one.case.kind}, {one.case.fault} {one.case.values}: {one.said}" for one in outcomes]
+    bad = [f"{one.outcome}: {one.case.kind}, {one.case.fault} {one.case.values}: {one.message}" for one in outcomes]
     assert not [text for text, one in zip(bad, outcomes, strict=True) if one.outcome in BAD]
 
 
@@ -39,7 +39,7 @@ def test_what_they_are_made_from_is_accepted():
     """Else all of them would be refused for another reason than their fault."""
     whole = [Case("mesh", "none", False, files={f"mesh.{kind}": written(BALL, kind)}) for kind in KINDS]
     whole.append(Case("scene", "none", False, files={"plain.xml": PLAIN.encode(), "scene.xml": HAPTIC.encode()}))
-    assert [(one.outcome, one.said) for one in run_cases(whole)] == [("accepted", "")] * len(whole)
+    assert [(one.outcome, one.message) for one in run_cases(whole)] == [("accepted", "")] * len(whole)
     for config in CONFIGS:
         parse(config, NEEDED.get(config.plugin, {}), "it")
     for file, old, _ in FORBIDDEN_EDITS.values():
@@ -52,9 +52,9 @@ def test_scenes_that_stay_well_formed(count):
     """Planned, and stepped where they are accepted; shipped scenes, which take longer, by the script only."""
     forms = [small_scene_texts(0.01, **changes) for changes in SMALL]
     whole = [Case("tree", "none", False, {"plain.xml": one.encode(), "scene.xml": two.encode()}) for one, two in forms]
-    assert [(one.outcome, one.said) for one in run_cases(whole)] == [("accepted", "")] * len(whole)
+    assert [(one.outcome, one.message) for one in run_cases(whole)] == [("accepted", "")] * len(whole)
     found = run_cases(drawn_trees(count, SEED, share_of_shipped=0.0))
-    bad = [f"{one.outcome}: {one.case.fault}: {one.said}\n{one.case.files}" for one in found if one.outcome in BAD]
+    bad = [f"{one.outcome}: {one.case.fault}: {one.message}\n{one.case.files}" for one in found if one.outcome in BAD]
     assert not bad, "\n".join(bad)
     assert sum(one.outcome == "accepted" for one in found) > 0.15 * count
 
@@ -62,14 +62,14 @@ def test_scenes_that_stay_well_formed(count):
 DIES = """
 import os, sys
 import fuzz_worker
-plain = fuzz_worker.given
-def given(case, folder):
+plain = fuzz_worker.load_case
+def load_case(case, folder):
     if case.fault == "dies":
         os._exit(7)
     if case.fault == "fails":
         raise ValueError("of its own")
     plain(case, folder)
-fuzz_worker.given = given
+fuzz_worker.load_case = load_case
 fuzz_worker.main()
 """
 

@@ -27,7 +27,7 @@ def test_after_a_stall_of_a_second_latency_is_back_within_a_frame_in_a_tenth_of_
 
 def test_a_stall_of_four_seconds_is_given_up_and_the_board_is_off_when_it_can_be():
     result = faults.stall(4.0, 5.0)
-    assert "has accepted no bytes for 2 s; the board is off" in result.said
+    assert "has accepted no bytes for 2 s; the board is off" in result.message
     assert result.off and result.torn == 0
     assert max(result.emitted_s) < result.numbers["stalled_until_s"] + 0.1
 
@@ -49,15 +49,15 @@ def test_half_a_frame_that_is_lost_is_over_with_the_next():
 def test_unplugged_for_good_is_said_and_plugged_in_again_is_silenced():
     gone = faults.unplugged(None)
     assert not gone.off and gone.torn == 0
-    assert "keeps emitting its last frame until power is cut" in gone.said and "did not return" in gone.said
+    assert "keeps emitting its last frame until power is cut" in gone.message and "did not return" in gone.message
     back = faults.unplugged(0.4)
     assert back.off and back.torn == 0
-    assert "lost the board" in back.said and back.said.endswith("the board is off")
+    assert "lost the board" in back.message and back.message.endswith("the board is off")
 
 
 def test_a_killed_player_leaves_the_board_off():
     result = faults.player_killed()
-    assert "was ended by signal SIGKILL; the board is off" in result.said
+    assert "was ended by signal SIGKILL; the board is off" in result.message
     assert result.off and result.torn == 0 and result.emitted_s
 
 
