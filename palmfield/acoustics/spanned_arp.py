@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from palmfield import cache
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import ArpLaw, law_weights, unit_normals
 from palmfield.acoustics.groups import axes
@@ -54,25 +55,28 @@ def spanned_fields(
     """Return the fields of the rows of V^H at points [m], shape (n, 3), with unit outward normals, in the array frame.
 
     basis: V of `drives_span`, shape (N, r)
-    They are computed once, with geometry in double precision, and stored in single precision. Sums of them have less
-    error than fields computed in single precision.
+    They are computed once, with geometry in double precision, and stored in single precision, in the cache too. Sums of
+    them have less error than fields computed in single precision.
     Raises SceneError for an unknown law, PalmfieldError for bad points or normals.
     """
     outward, weights = unit_normals(normals, len(points)), law_weights(law, field.air)
     blocks, order = -(-len(points) // kernels.WIDTH), basis.shape[1]
-    parts: Any = wp.zeros((blocks, order, 8), dtype=kernels.lanes, device="cpu")
-    numbers: Float32 = np.zeros((order, 8, blocks * kernels.WIDTH), np.float32)
-    accurate = MultiArrayField(field.groups, field.air, field.device, "accurate")
-    turns = axes(outward.astype(float))
-    per_wavenumber = sound_speed(field.air) / (2.0 * np.pi * field.groups[0].array.frequency_Hz)
-    for number, drive in zip(numbers, basis.conj().T, strict=True):
-        sound = accurate.pressure(points, np.ascontiguousarray(drive), normals=outward)
-        assert sound.gradient is not None
-        along = per_wavenumber * np.einsum("nij,nj->in", turns, sound.gradient)
-        rows = np.concatenate([sound.pressure[None], along])
-        number[:4, : len(points)], number[4:, : len(points)] = rows.real, rows.imag
-    parts.numpy()[...] = numbers.reshape(order, 8, blocks, kernels.WIDTH).transpose(2, 0, 1, 3)
-    return SpannedFields(basis, weights, parts, len(points))
+
+    def make() -> cache.Arrays:
+        numbers: Float32 = np.zeros((order, 8, blocks * kernels.WIDTH), np.float32)
+        accurate = MultiArrayField(field.groups, field.air, field.device, "accurate")
+        turns = axes(outward.astype(float))
+        per_wavenumber = sound_speed(field.air) / (2.0 * np.pi * field.groups[0].array.frequency_Hz)
+        for number, drive in zip(numbers, basis.conj().T, strict=True):
+            sound = accurate.pressure(points, np.ascontiguousarray(drive), normals=outward)
+            assert sound.gradient is not None
+            along = per_wavenumber * np.einsum("nij,nj->in", turns, sound.gradient)
+            rows = np.concatenate([sound.pressure[None], along])
+            number[:4, : len(points)], number[4:, : len(points)] = rows.real, rows.imag
+        return {"parts": numbers.reshape(order, 8, blocks, kernels.WIDTH).transpose(2, 0, 1, 3).copy()}
+
+    parts = cache.kept("path-fields", (field.groups, field.air, field.device, points, outward, basis), make)["parts"]
+    return SpannedFields(basis, weights, wp.array(parts, dtype=kernels.lanes, device="cpu"), len(points))
 
 
 class SpannedArp:

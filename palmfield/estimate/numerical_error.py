@@ -25,6 +25,7 @@ from palmfield.estimate.numerics.other_layers import (
 )
 from palmfield.estimate.numerics.point_response import Response, course_change, solve_all
 from palmfield.session.loudest_moment import LoudestMoment, at_full_level, place_under_focus
+from palmfield.simulation.build import at_any_level
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.from_config import softest_and_stiffest_sheets
@@ -131,7 +132,7 @@ def error_estimate(
             layer.demand,
             layer.sizes,
             course.left_small_model,
-            config.model_copy(update={"drive_amplitude": None, "arp_peak_Pa": None}),
+            at_any_level(config),
             lasted_s,
             materials,
             thorough,

@@ -33,7 +33,7 @@ def at_full_level(loudest: LoudestMoment) -> LoudestMoment:
 
     The drive has no last digits, so that all levels give the same numbers.
     """
-    drive = np.round(loudest.drive / (np.abs(loudest.drive).max() or 1.0), DIGITS)
+    drive: Complex = np.round(loudest.drive / (float(np.abs(loudest.drive).max()) or 1.0), DIGITS)
     return replace(loudest, drive=drive, factor=1.0)
 
 

@@ -2,15 +2,16 @@
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 from weakref import WeakValueDictionary
 
 import numpy as np
 
+from palmfield import cache
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.config import SkinConfig, StimulusConfig
 from palmfield.config.base import naming_keys
@@ -307,22 +308,29 @@ def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> "Surfac
 
     body: frame of the surface, seen from the first array, in the reference pose
     """
-    from palmfield.stimulus.surface_path import drawn, through, zigzag_through  # most stimuli have no such path
+    from palmfield.stimulus.surface_path import SurfacePath, drawn, through, zigzag_through  # few stimuli have one
 
     with spec.naming("path_on"):
-        if carrier.surface is None:
+        surface = carrier.surface
+        if surface is None:
             raise SceneError("the skin is a flat disc: set path_on to plane")
+        way: tuple[Callable[..., SurfacePath], tuple[Any, ...]]
         if spec.config.path == "sites":
             sites, stroke = np.array(spec.path_sites), zigzag_stroke_m(spec.config)
-            if stroke is None:
-                return through(carrier.surface, sites)
-            assert spec.config.path_zigzag_width_m is not None
-            return zigzag_through(carrier.surface, sites, spec.config.path_zigzag_width_m, stroke)
-        path = plane_path(spec.config)
-        assert path is not None
-        frame = spec.frame.transform
-        start = body.inverse_points(frame.points(np.array(spec.config.focus_m)))
-        return drawn(carrier.surface, start, body.inverse_vectors(frame.rotation[:, 0]), path)
+            way = through, (sites,)
+            if stroke is not None:
+                way = zigzag_through, (sites, spec.config.path_zigzag_width_m, stroke)
+        else:
+            frame = spec.frame.transform
+            start = body.inverse_points(frame.points(np.array(spec.config.focus_m)))
+            way = drawn, (start, body.inverse_vectors(frame.rotation[:, 0]), plane_path(spec.config))
+
+        def make() -> cache.Arrays:
+            function, inputs = way
+            return {name: np.array(value) for name, value in vars(function(surface, *inputs)).items()}
+
+        kept = cache.kept("surface-path", (surface.vertices, surface.faces, way[0].__name__, *way[1]), make)
+        return SurfacePath(kept["faces"], kept["barycentric"], kept["arc_m"], bool(kept["closed"]))
 
 
 # -- skins ---------------------------------------------------------------------------------------------------------

@@ -90,7 +90,10 @@ class Reduced:
             return _Modes(roots, vectors, inverse, np.linalg.solve(vectors, self.inputs))
 
     def decoupled(self, step_s: float) -> "Decoupled | None":
-        """Return the same steps in independent coordinates; None if the modes are ill conditioned."""
+        """Return the same steps in independent coordinates, without a matrix exponential.
+
+        None if the modes are ill conditioned.
+        """
         modes = self._modes
         if modes is None:
             return None
@@ -101,9 +104,13 @@ class Reduced:
         back[count:] = modes.vectors[:, fading].real.T
         with one_blas_thread:
             there: Float = np.linalg.inv(back).astype(np.float64, copy=False)
-        _, start, end = self.propagators(step_s)
+        weighted = (
+            (modes.vectors @ (weights[:, None] * modes.inputs)).real
+            for weights in _modal_weights(modes.roots, step_s)[1:]
+        )
+        start, end = (part.T @ there for part in weighted)
         grow, fall = np.exp(modes.roots[paired] * step_s), np.exp(modes.roots[fading].real * step_s)
-        return Decoupled(there, back, grow, fall, start.T @ there, end.T @ there)
+        return Decoupled(there, back, grow, fall, start, end)
 
     def displacement(self, state: Float) -> Float:
         """Return y [m], shape (k,)."""

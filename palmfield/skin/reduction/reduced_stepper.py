@@ -6,7 +6,7 @@ It is exact in time, and a substep is one dense product.
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -98,9 +98,6 @@ class ReducedStepper(SkinStepper):
         self.shares = np.ascontiguousarray(shares)
         # Pressures are in single precision, and half the memory takes half the reading time
         self._single_shares = self.shares.astype(np.float32)
-        advance, start, end = self.model.propagators(step_s)
-        self.advance = np.ascontiguousarray(advance)
-        self.start, self.end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
         self._decoupled = self.model.decoupled(step_s)
         # Results for the last constant pressures
         self._fixed: tuple[Float | Float32, Float] | None = None
@@ -108,6 +105,18 @@ class ReducedStepper(SkinStepper):
         # Displacement and velocity in V are products of the first two blocks of a state; the other blocks are 0.
         blocks = slice(0, self.order), slice(self.order, 2 * self.order)
         self._moved, self._moves = self.model.displaces[:, blocks[0]], self.model.moves[:, blocks[1]]
+
+    @cached_property
+    def advance(self) -> Float:
+        return np.ascontiguousarray(self.model.propagators(self.step_s)[0])
+
+    @cached_property
+    def start(self) -> Float:
+        return np.ascontiguousarray(self.model.propagators(self.step_s)[1].T)
+
+    @cached_property
+    def end(self) -> Float:
+        return np.ascontiguousarray(self.model.propagators(self.step_s)[2].T)
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
