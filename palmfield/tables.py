@@ -35,7 +35,7 @@ def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], 
         elif file.suffix.lower() == ".csv":
             columns, places = _csv(file)
         else:
-            raise SceneError(f"{file}: the file's kind is '{file.suffix}'; use .csv or .npz")
+            raise SceneError(f"{file}: the kind of the file is '{file.suffix}'; use .csv or .npz")
     except UNREADABLE as error:
         raise SceneError(f"{file}: cannot be read: {reason_of(error)}; give a CSV (UTF-8) or NPZ file") from None
     for name, values in columns.items():
@@ -145,7 +145,7 @@ def write_table(file: Path, names: Sequence[str], table: Float) -> None:
     Raises OutputError for an unknown suffix and for a file that cannot be written.
     """
     if file.suffix.lower() not in (".csv", ".npz"):
-        raise OutputError(f"{file}: the file's kind is '{file.suffix}'; use .csv or .npz")
+        raise OutputError(f"{file}: the kind of the file is '{file.suffix}'; use .csv or .npz")
     with writing(file), whole(file) as part:
         if file.suffix.lower() == ".npz":
             with part.open("wb") as data:

@@ -19,7 +19,7 @@ MOST_IMAGES = 400
 
 
 def rest_beyond(images: int, absorption_Np_m: float, distance_m: float) -> float:
-    """Return the bound on the pressure of the images beyond a number, relative to the same value as REST.
+    """Return a bound of the pressure of all images after a number of them, relative to the same value as REST.
 
     Image m is at least 2 m + 1 distances away; in the worst case all sound is in phase.
     """

@@ -67,7 +67,7 @@ def demodulated_Pa(power_W: float, length_m: float, distance_m: float, frequency
     """Return the peak pressure of the audible sound of ultrasound with fully modulated intensity, shape (k,).
 
     power_W: power of the ultrasound; length_m: length of the beam; frequency_Hz: frequency of the modulation, shape
-    (k,) Westervelt's source is modelled as a point, for wavelengths longer than the beam; for others use `beam_share`.
+    (k,). Westervelt's source is modelled as a point, for wavelengths longer than the beam; for others use `beam_share`.
     """
     w = 2.0 * math.pi * np.asarray(frequency_Hz, float)
     return NONLINEARITY * w**2 * power_W * length_m / (4.0 * math.pi * sound_speed(air) ** 3 * distance_m)

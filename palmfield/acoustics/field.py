@@ -132,7 +132,7 @@ class FieldSum(ABC):
         return Field(*results)
 
     def upload(self, points: ArrayLike) -> Points:
-        """Copy points [m], shape (n, 3), to the device for several calls of `pressure`, whose errors it raises."""
+        """Copy points [m], shape (n, 3), to the device for several calls of `pressure`; errors as `pressure`."""
         one = self.parts[0][0]
         where = check.points(points, one.real)
         array: Any = wp.array(where, dtype=one.vectors[0], device=self.device)
@@ -155,12 +155,13 @@ class FieldSum(ABC):
 
 
 def part(values: Any, own: slice) -> Any:
-    """Return a slice of the values, or the values themselves if it is all of them, since Warp slices take 10 us."""
+    """Return a slice of the values; if it contains all of them, return the values themselves, since Warp slices take 10
+    us."""
     return values if own.stop - own.start == len(values) else values[own]
 
 
 class FieldEvaluator(FieldSum):
-    """Field of one array in one air, which are stored on the device, so that a call transfers only points and drive.
+    """Field of one array in one air. Both are stored on the device, so that a call transfers only points and drive.
 
     mode: "fast" computes in float32, whose phase error grows with distance: 1.2e-5 of the field at 0.05 to 0.4 m and
         4e-5 at 0.4 to 1.2 m (on a GPU 2e-5 and 6e-5); "accurate" computes distance and phase in float64.

@@ -216,8 +216,9 @@ class SurfaceArp:
     ) -> Float32:
         """Return the ARP [Pa] of many drives at the points, shape (m, count), by the faster method.
 
-        From MATRIX_FROM drives on this is a transfer matrix, which is stored for the next call with the same points.
-        For fewer drives, different directivities, mode "accurate" or points far apart, it is the kernels of the field.
+        From MATRIX_FROM drives on, the method is a transfer matrix, which is stored for the next call with the same
+        points. Kernels of the field compute fewer drives, different directivities, mode "accurate" and points far
+        apart.
 
         drives: shape (m, field.count). shades: as for `evaluate`; they exclude a matrix.
         amplitudes: array to fill with the peak amplitudes of the pressures [Pa], shape (m, count), float32.

@@ -329,8 +329,8 @@ def arp_frames(
 ) -> Float32:
     """Return the ARP [Pa] of many drive frames at the same points, shape (frames, points), by the faster method.
 
-    From MATRIX_FROM frames on this is a transfer matrix, in blocks of points limited by `memory_limit`. Fewer frames,
-    mode "accurate" and points too far apart for the matrix are computed frame by frame.
+    From MATRIX_FROM frames on, the method is a transfer matrix, in blocks of points limited by `memory_limit`. Fewer
+    frames, mode "accurate" and points too far apart for the matrix are computed frame by frame.
 
     evaluator: array, air, absorption, mode, and device of the products.
     points: [m], array frame, shape (n, 3); normals: unit outward normals of opaque surfaces, shape (n, 3); sound from

@@ -101,8 +101,8 @@ class Foci:
 def transfer64(points: ArrayLike, array: Array, air: Air) -> Complex:
     """Return the complex peak pressure [Pa] at each point from each transducer alone at full drive, in float64.
 
-    transfer64(points, array, air) @ drive is pressure64(points, array, drive, air) to rounding: the same formula, with
-    the array's gain, directivity and the air's absorption, but not summed.
+    transfer64(points, array, air) @ drive is pressure64(points, array, drive, air) to rounding. The formula is the
+    same, with gain and directivity of the array and absorption of the air, but not summed.
 
     points: [m], array frame, shape (m, 3)
     Returns shape (m, n), complex128, n transducers.
@@ -229,8 +229,9 @@ def together(transfer: Complex, pressures: Float | None = None) -> Complex:
 def in_gauge(matrix: Complex, drive: Complex) -> Complex:
     """Rotate a drive, shape (n,), so that its pressure at the first focus is real and positive, as for a single focus.
 
-    If the first focus is FAINT, the first one that is not takes its place. Magnitudes do not depend on this phase, but
-    transducers that ring need it as a function of the present foci: in eigenvectors it depends on rounding.
+    If the first focus is FAINT, the first focus that is not FAINT replaces it. Magnitudes do not depend on this phase.
+    But transducers that ring need a phase that depends only on the present foci, and the phase of an eigenvector
+    depends on rounding.
     matrix: complex pressure at the foci from each transducer at full drive [Pa], shape (m, n)
     """
     pressure = matrix @ drive
@@ -265,7 +266,7 @@ def unit(values: Complex) -> Complex:
 def reinforcing_phases(matrix: Complex, targets: Float) -> Complex:
     """Return the phase factors of the foci under which single foci help each other most, shape (m,) (Long et al. 2014).
 
-    Row i, column k of G W is the pressure at focus i of the single focus that on its own makes target k at k, with
+    Row i, column k of G W is the pressure at focus i of a single focus at k whose pressure there is target k, with
     G = H H* and W = diag(target_k/G_kk); its dominant eigenvector is found from the Hermitian form of the same problem.
     From here "gsw" ends about as loud as from the best of ten random starts (docs/bench/foci.md).
     """

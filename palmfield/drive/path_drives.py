@@ -28,8 +28,8 @@ class PathMemory(NamedTuple):
     counts: foci and groups, int32, shape (w, 2); group: group of each transducer, int32, shape (w, n)
     foci: [m], vec3d, shape (w, f); targets: target levels, float64, shape (w, f + 1)
     aims: targets at the focus, vec2d, shape (w,), see `PathDrives.aim`
-    ring: weights of the pole for each moment, vec2d, shape (m, 5); pushes: its row of `force`, -1 for none, int32,
-        shape (m,); begun, end: emission, vec2d, shape (w, n)
+    ring: weights of the pole for each moment, vec2d, shape (m, 5); pushes: row of `force` for each moment, -1 for none,
+        int32, shape (m,); begun, end: emission, vec2d, shape (w, n)
     totals: pressure at the foci at full drive and number of transducers that face them, vec3d, shape (w, f)
     load, force, now: tables of drives, vec2, see `palmfield.acoustics.point_sound.DriveTable`
     """

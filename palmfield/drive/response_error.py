@@ -90,8 +90,9 @@ def response_errors(
 ) -> tuple[ResponseError, ResponseError]:
     """Return the errors of ignoring ring-up, and of ignoring differences in flight time.
 
-    The first: the emission of a pole against the drive itself, delayed by the mean delay of all. The second: the
-    emission of the poles, each delayed by its flight time against the mean, or all equally.
+    The first error compares the emission of a pole with the drive itself, delayed by the mean delay of all. The second
+    error compares the emission of poles that are delayed by their flight times with that of poles that are delayed
+    equally.
 
     along: function from points of the stimulus, shape (k, 3), to foci in the frame of the first array [m]; several
     foci count as

@@ -51,7 +51,7 @@ class PoleStepper:
     def weights(self, time_s: float) -> Weights:
         """Return weights of the emission before, and of the drive at the beginning and the end, over `time_s` [s].
 
-        Numbers if all transducers are alike, else arrays of shape (N,).
+        They are numbers if all transducers are alike, else arrays of shape (N,).
         """
         grains = round(time_s / GRAIN_S)
         weights = self._stored.get(grains)
@@ -275,7 +275,8 @@ class EmittedCourse(NamedTuple):
     def weights(self, moments: Moments) -> tuple[Float, Float]:
         """Return weights of the patterns of ARP at the beginning and the end of each step of `moments`, shapes (s, p).
 
-        Patterns are that of one unit, proportional to |level|^2, or each moment's own; one zero pattern in silence.
+        There is one pattern of one unit, proportional to |level|^2, or one pattern for each moment; in silence, one
+        zero pattern.
         """
         if len(self.units) > 1:
             return moments.first, moments.last

@@ -53,7 +53,7 @@ class Transport(Protocol):
         ...
 
     def waiting(self) -> int:
-        """Return the number of written bytes that are certainly not on the line yet: the board may delay more.
+        """Return the number of written bytes that are certainly not on the line yet; the board may delay further bytes.
 
         A pseudo-terminal reports 0 with bytes unread, unless a virtual board at its other end reports how many it took.
         Raises PortLost if the other end is lost.

@@ -77,18 +77,17 @@ def error_estimate(
         response, and of the motion after the sound begins, with the level of the stimulus and a fixed focus. The last
         is an L2 norm over time, to the end of the run, at most LONGEST_COURSE_S. The frequency is the main one of the
         stimulus, or else half of the highest frequency of mesh and step.
-    step: the exact steady state of the discrete scheme against the continuous one, on the cheaper coarser mesh. If it
-        is larger: the effect of the substeps on the motion after the sound begins.
-        For reduced models (exact in time) and explicit solvers (shorter steps): linear interpolation of the load,
-        sinc^2.
+    step: the difference between the exact steady states of the discrete scheme and of the continuous equation, on the
+        cheaper coarser mesh, or, if it is larger, the effect of the substeps on the motion after the sound begins. For
+        reduced models (exact in time) and explicit solvers (shorter steps): linear interpolation of the load, sinc^2.
     reduction: for a reduced model its own estimate or, if it is valid for any time course of the load and the value is
         larger, the difference from the static and harmonic response of the full wedge model on the mesh of the scene.
         For modes the same, and the share of the loads outside their class; else 0. Without `thorough`, the reduced
         model of a predicted load also serves as the full model, and only its own estimate counts.
     material_band_low, _high: factors of the displacement with all material ranges at their stiff and at their soft
         ends; missing if no range is known.
-    edge: half the change of the static or harmonic response between fixed and free cut faces, the larger, because a
-        layer on a hand ends inside the body. 1 if only the cut faces support the layer, 0 for a disc.
+    edge: half of the larger change of the static or harmonic response between fixed and free cut faces, because a layer
+    on a hand ends inside the body. 1 if only the cut faces support the layer, 0 for a disc.
 
     The result is cached (`palmfield.cache`). Raises SceneError if no finer or coarser mesh of the layer can be made.
     """

@@ -70,7 +70,8 @@ def prepare(scene: Path | None, *, only_kernels: bool = False, **options: Unpack
 
     The estimate depends on the loudest moment of the run. The scene does one step, whose result is not stored.
     scene: None for kernels alone; only_kernels: whether to omit meshes and models; options: as in
-    `palmfield.Simulation` A second process waits until the data are in the cache. Raises the errors of `palmfield.run`.
+    `palmfield.Simulation`. A second process waits until the data are in the cache. Raises the errors of
+    `palmfield.run`.
     """
     began, device = time.perf_counter(), options.get("device") or "auto"
     with _alone():

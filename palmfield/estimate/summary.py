@@ -44,7 +44,7 @@ def skin_numbers(
     budget: as returned by `estimated_budget`.
     times: times of the records [s], shape (t,). normal: displacement along the outward normal [m], shape (t, S).
     arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo time at the start of the run
-    [s]. `reduction_velocity_error_relative` is the velocity error of modes; other solvers have none.
+    [s]. `reduction_velocity_error_relative` is the velocity error of modes; other solvers do not have this entry.
     input_band_low, _high: factors of the motion over all inputs with a known range (`combined`); input_band_parts: of
     each input; peak_displacement_low_m, _high_m: ends of its band; verdict: as returned by
     `palmfield.outputs.verdict.verdict`.

@@ -41,11 +41,11 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     vertices: shape (n, 3); faces: shape (m, 3); named: side by the file, for instance by joint names, which is used if
     the shape determines the thumb but not the palm
 
-    The distance from the wrist along the skin hardly depends on the pose. Its five maxima are the tips, and its saddles
-    between them are the webs. The thumb is the digit whose web and tip are nearest to the wrist. The thumb and the tips
-    of bent fingers are on the palmar side of the middle plane of the skin between wrist and webs. Sureness is reduced
-    if thumb and fingers are on different sides of this plane. Seen on the palm with the fingers up, a right hand has
-    its thumb to the right.
+    The distance from the wrist along the skin hardly depends on the pose. The five maxima of this distance are the
+    tips, and the saddles between them are the webs. The thumb is the digit whose web and tip are nearest to the wrist.
+    The thumb and the tips of bent fingers are on the palmar side of the middle plane of the skin between wrist and
+    webs. Sureness is reduced if thumb and fingers are on different sides of this plane. Seen on the palm with the
+    fingers up, a right hand has its thumb to the right.
     """
     links = _links(vertices, faces)
     wrist = _wrist(vertices, links, plane_axes(vertices)[0])

@@ -116,7 +116,7 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
     shares = np.zeros((len(vertices), len(names)))
     np.add.at(shares, (np.arange(len(vertices))[:, None], mesh.indices), mesh.weights)
     add_skin(root, name, mesh.surface, [SkinBone(*bone) for bone in zip(names, places, shares.T, strict=True)])
-    axes = "the file's own" if side.side == "unknown" else "fingers to y, palm to -z"
+    axes = "those of the file" if side.side == "unknown" else "fingers to y, palm to -z"
     note = f"Written by `palmfield hand` of a rigged mesh. Side: {side.side}; axes in the world: {axes}."
     return file_text(root, note)
 

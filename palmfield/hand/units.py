@@ -40,7 +40,7 @@ def choose_unit(
     if requested != "auto":
         unit = Unit(requested, METRES[requested], "given by the user")
     elif by_format is not None:
-        unit = Unit(by_format, METRES[by_format], "set by the file's format")
+        unit = Unit(by_format, METRES[by_format], "set by the file format")
     else:
         if tips != DIGITS:
             raise SceneError(

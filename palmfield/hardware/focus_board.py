@@ -45,7 +45,7 @@ class FocusSound:
 class FocusBoard:
     """A board, its array and its sound. p0: p0 of the layout or calibration; notes: messages for the user
 
-    sound: without modulation made by the board; layout: layout of the array
+    sound: the sound without the modulation that the board makes itself; layout: layout of the array
     """
 
     board: Board

@@ -37,7 +37,7 @@ def frequency_wavenumber(
 ) -> FrequencyWavenumber:
     """Return the spectrum of records, shape (t, n), at points, shape (n, 3), projected to a plane.
 
-    most_Hz: highest frequency; None: frequency with 99.9 % of the power below
+    most_Hz: highest frequency; None: the frequency below which 99.9 % of the power lies
     A Hann window is applied over time. The largest wavenumber is pi/pitch, where aliasing of a grid begins.
     """
     times, signal = trace(times_s, values, 16)

@@ -45,7 +45,7 @@ class HandJoints:
 
 
 def hand_joints(hand: ArticulatedHand) -> HandJoints:
-    """Return the joints of a hand at rest; tips are those of the skin."""
+    """Return the joints of a hand at rest; the tips are points of the skin."""
     skin = {part.name: part for part in hand.skeleton.skin}
     marks = hand.skeleton.landmarks
     middle = skin["middle_metacarpal"]

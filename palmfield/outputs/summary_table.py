@@ -129,7 +129,8 @@ def response_band(skin: Mapping[str, Any]) -> float:
 
 
 def level_band(skin: Mapping[str, Any]) -> float:
-    """Return the relative uncertainty of ARP and motion due to p0: half of the range; 0 if the scene sets the level."""
+    """Return the relative uncertainty of ARP and motion due to p0, which is half of the range; 0 if the scene sets the
+    level."""
     if "p0_band_low" not in skin:
         return 0.0
     return float(skin["p0_band_high"] - skin["p0_band_low"]) / 2.0

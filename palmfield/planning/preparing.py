@@ -17,8 +17,9 @@ MOST_RUNS = 1000
 class Preparing(NamedTuple):
     """Predicted costs of the modes of a skin on one core.
 
-    modes_s: time to make them, once [s]; saved_s: by each run that finds them, for a stimulus of its own [s]
-    without: what such a run makes instead, a reduced model or the full layer; runs: number from which they save time
+    modes_s: time to make them, once [s]; saved_s: time that they save in each later run with another stimulus [s]
+    without: replacement in a run without them, a reduced model or the full layer; runs: number of runs from which they
+    save time
     """
 
     modes_s: float

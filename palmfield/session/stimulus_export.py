@@ -44,10 +44,10 @@ def exported(
 ) -> Exported:
     """Sample foci and levels of a stimulus as a table; each sample applies until the next.
 
-    stimulus: instance, needed if there are several; rate_Hz: rate of the samples, default that of its steps (its table,
-        points of its path, control ticks), else USUAL_RATE_HZ; quantity: quantity of the intensities, default that of
-        its table, else ARP; frame: array, or skin for the frame of its site; duration_s: default that of the scene
-    A table that a scene plays unchanged is exported unchanged, with its straight lines.
+    stimulus: instance, needed if there are several; rate_Hz: rate of the samples; default: the rate of the steps of the
+    stimulus (table, points of the path, control ticks), or else USUAL_RATE_HZ; quantity: quantity of the intensities;
+    default: that of the table, or else ARP; frame: array, or skin for the frame of its site; duration_s: default that
+    of the scene A table that a scene plays unchanged is exported unchanged, with its straight lines.
     Raises SceneError for an invalid scene, an unknown stimulus or frame, and a rate or duration out of range.
     """
     view = preview(scene, keys=keys)
@@ -102,7 +102,7 @@ def export_stimulus(result: Exported, path: Path, *, again: bool = False, overwr
     """
     if path.suffix.lower() not in (".csv", ".json"):
         raise OutputError(
-            f"{path}: the file's kind is '{path.suffix}'; allowed: .csv (a table), .json (an STM of AUTD3)"
+            f"{path}: the kind of the file is '{path.suffix}'; allowed: .csv (a table), .json (an STM of AUTD3)"
         )
     if path.exists() and not overwrite:
         raise OutputError(f"{path} exists and would be replaced; give another file, or --overwrite")

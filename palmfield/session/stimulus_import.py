@@ -53,7 +53,9 @@ def read_stimulus(path: Path) -> tuple[FocusTable, bool]:
             stm = read_foci_stm(path)
             with naming(f"{path}"):
                 return table_of_stm(stm), stm.loop == "infinite"
-    raise SceneError(f"{path}: the file's kind is '{path.suffix}'; allowed: .csv (a table), .json (an STM of AUTD3)")
+    raise SceneError(
+        f"{path}: the kind of the file is '{path.suffix}'; allowed: .csv (a table), .json (an STM of AUTD3)"
+    )
 
 
 def import_stimulus(

@@ -409,7 +409,8 @@ def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
 
 
 def nearest_stimulus(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
-    """Return the stimulus whose first focus is nearest to the middle of a skin: the layer is made for its sound."""
+    """Return the stimulus whose first focus is nearest to the middle of a skin; the layer is made for the sound of this
+    stimulus."""
     centre = skin.body.transform.points(np.array(skin.patch_centre))
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent] or list(stimuli)
     return min(sounding, key=lambda stimulus: float(np.linalg.norm(stimulus.first_focus - centre)))
@@ -479,7 +480,8 @@ def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel, at: Fl
 class PathPlace(NamedTuple):
     """Place of a path (or of the focus) on a layer.
 
-    beside: of the point of the skin nearest to its middle, from the middle of the layer, shape (3,) [m]
+    beside: vector from the middle of the layer to the point of the skin nearest to the middle of the path, shape (3,)
+    [m]
     off_m: distance of its middle from that point [m]; reach_m: largest distance of the path from its middle [m]
     """
 

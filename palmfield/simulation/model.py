@@ -196,7 +196,8 @@ class SkinModel:
 
     body: number of the body that carries it; carrier: that body. layer: mesh and matrices.
     choice: choice of its stepper. still_m: smaller movements count as still [m].
-    settles: whether the body is put at its reference pose while it is still; default: if a reduced model steps it.
+    settles: whether the body is put at its reference pose while it is still; by default this depends on whether a
+    reduced model steps the layer.
     """
 
     def __init__(

@@ -57,8 +57,8 @@ class PosedSurface:
     """One body in one pose; data are computed at first use.
 
     model: the body at rest. skin: the first skin on it. frame: frame of the body in that of the first array.
-    bone_positions, bone_rotations: in the frame of the body, shapes (b, 3) and (b, 3, 3); empty for a body in one
-    piece.
+    bone_positions, bone_rotations: poses of the bones in the frame of the body, shapes (b, 3) and (b, 3, 3); empty for
+    a body in one piece.
     serial: unique number. numbers: numbers of the pose, as bytes: only if they are equal, a stored field may be reused.
     """
 
@@ -135,7 +135,8 @@ class PosedSurface:
 class PosedSkin:
     """One skin layer in one pose; positions are in the array frame.
 
-    obstacle_positions, obstacle_rotations: of the obstacles other than bodies with skins, in the frame of the body
+    obstacle_positions, obstacle_rotations: poses of the obstacles other than bodies with skins, in the frame of the
+    body
     numbers: numbers of their poses, as bytes
     """
 
@@ -246,7 +247,7 @@ def posed_scene(
 ) -> PosedScene:
     """Return the scene in a pose.
 
-    world_positions [m], shape (m, 3), world_rotations, shape (m, 3, 3): of the rows of the layout.
+    world_positions [m], shape (m, 3), world_rotations, shape (m, 3, 3): poses in the rows of the layout.
     previous: the last pose, or the reference. Parts that have not moved are reused; if none has, it is returned.
     reference: as `reference_scene`, the pose of reduced models. A body and the obstacles of its skins are put there if
         they are within STILL of it (by the strictest of its skins) and the arrays are in the reference pose.

@@ -119,7 +119,7 @@ class Radiation:
     def at(
         self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, drive: Complex
     ) -> SurfaceSound:
-        """Return ARP at any points of the body of a skin with outward normals, array frame, shapes (n, 3)."""
+        """Return ARP at any points, with outward normals, of the body of a skin; array frame, shapes (n, 3)."""
         name = "field", skin, role, len(points)
         field = self._shared.of(name, posed.arrays.serial, self._field, posed, skin, len(points))
         return self._sound[skin].sound((posed, skin, role, points, normals, None, field), drive)

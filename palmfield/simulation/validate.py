@@ -65,7 +65,8 @@ def check_bodies(spec: SceneSpec) -> None:
 def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
     """Raise SceneError for transducers of two arrays that are closer than their faces allow.
 
-    Within one array, whose places come from one file or model, only distances impossible for any transducer count.
+    Places within one array come from one file or model. So only distances that are impossible for any transducer are
+    errors there.
     """
     positions = [arrays.array.positions[part] for part in arrays.slices]
     for number, name in enumerate(names):

@@ -30,7 +30,7 @@ class Projection:
         return self.moved(s**2, s, [complex(material.relaxation.stiffening(s)) for material in self.materials])
 
     def moved(self, inertia: complex, rate: complex, scales: Sequence[complex]) -> Complex:
-        """Return the readings in balance with the first force, for these factors of mass, damping and parts, (k,)."""
+        """Return the readings at rest under the first force, for these factors of mass, damping and parts, (k,)."""
         mass, damping, elastic, *stiffness = self.matrices
         matrix: Any = inertia * mass + rate * damping + elastic
         for scale, part in zip(scales, stiffness, strict=True):

@@ -62,8 +62,8 @@ class LayerDemand:
     """Demands of the sound and the scene on a layer.
 
     spot_fwhm_m: full width at half maximum of the pressure spot [m].
-    max_frequency_Hz: highest frequency that mesh and step must resolve. main_frequency_Hz: main frequency of most of
-    the response.
+    max_frequency_Hz: highest frequency that mesh and step must resolve. main_frequency_Hz: frequency of most of the
+    response.
     path_reach_m: radius of the region of foci, and reach of the path, by which a patch grows [m].
     timestep_s: timestep of MuJoCo [s]. longest_step_s: upper limit of the substep [s].
     corner_Hz: frequency above which the spectrum of the load falls, about; infinite if unknown.

@@ -155,14 +155,15 @@ def solve(
 
     body: Slab or Layer. load: Spot or Traction (palmfield.skin.problem); the body is at rest before the load begins.
     times: requested times [s], rising, shape (t,). at: points on the face [m], shape (n, 2) or (n, 3).
-    solver: "auto", the cheapest by prediction that doesn't refuse, before or while it solves; or one by name.
-    accuracy: target relative error of accuracy_of, L2 over the times at a point, the largest of the points.
+    solver: "auto", the solver with the lowest predicted cost that does not refuse before or during the solution; or the
+    name of a solver.
+    accuracy: target relative error of accuracy_of, L2 over the times at a point, at the worst point.
     accuracy_of: basis of the estimate and the refinement: "displacement", "velocity", or "normal", the displacement
-        along the normal of the face, whose error is the larger one where the skin moves mostly along itself.
+        along the normal of the face, whose error is larger if the skin moves mostly along its surface.
     device: "auto", "cpu" or "cuda:N".
-    whole: keep all of a layer, also the part beyond the reach of load and points
+    whole: whether to keep all of a layer, also the part beyond the reach of load and points
     (palmfield.skin.approximation.truncate_domain).
-    resolution: passed to a solver that is named, which is then not refined.
+    resolution: arguments for the named solver, which is then not refined.
     If the estimate misses the accuracy the problem is solved again, finer, up to FINER times; a Motion whose `error`
     is above `accuracy` says so in its `solver`.
     Raises SceneError for bad arguments, if no solver, or not the named one, can solve it, and for a body without

@@ -162,7 +162,7 @@ def test_hand_in_cm_or_slender_forearm_in_inches_is_asked_for():
 
 
 def test_a_format_with_units_and_the_user_go_before(tmp_path):
-    assert choose_unit("auto", "m", 0.05, 0.05, "mesh").source == "set by the file's format"
+    assert choose_unit("auto", "m", 0.05, 0.05, "mesh").source == "set by the file format"
     assert choose_unit("cm", "m", 19.0, 9.0, "mesh") == Unit("cm", 0.01, "given by the user")
     path = tmp_path / "hand.obj"
     vertices, faces = foreign_hands.plain_hand()

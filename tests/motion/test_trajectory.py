@@ -99,7 +99,7 @@ def test_wrong_tables_are_refused_with_line_and_column(table, median, text, word
 def test_wrong_files_are_refused(tmp_path, median):
     with pytest.raises(SceneError, match=r"none\.csv: cannot be read"):
         read_trajectory(tmp_path / "none.csv", median)
-    with pytest.raises(SceneError, match=r"the file's kind is '\.txt'; use \.csv or \.npz"):
+    with pytest.raises(SceneError, match=r"the kind of the file is '\.txt'; use \.csv or \.npz"):
         read_trajectory(tmp_path / "motion.txt", median)
     (tmp_path / "text.npz").write_text("not an archive")
     with pytest.raises(SceneError, match=r"text\.npz: is not an NPZ archive"):

@@ -72,7 +72,7 @@ def test_what_is_wrong_in_a_csv_is_named(tmp_path, old, new, words):
 
 
 def test_files_of_other_kinds_and_places_are_refused(tmp_path):
-    with pytest.raises(MeasurementError, match=r"the file's kind is '.xlsx'; allowed: .csv"):
+    with pytest.raises(MeasurementError, match=r"the kind of the file is '.xlsx'; allowed: .csv"):
         read_scan(tmp_path / "a.xlsx")
     with pytest.raises(MeasurementError, match="cannot be read"):
         read_scan(tmp_path / "none.csv")

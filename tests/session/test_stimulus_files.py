@@ -223,9 +223,9 @@ def test_nothing_is_replaced_or_written_by_mistake(small_scene, tmp_path):
     with pytest.raises(SceneError):
         import_stimulus(written(tmp_path / "in.csv", far), scene, tmp_path / "new.xml")
     assert sorted(tmp_path.iterdir()) == before
-    with pytest.raises(SceneError, match=r"the file's kind is '.txt'; allowed: .csv .a table., .json"):
+    with pytest.raises(SceneError, match=r"the kind of the file is '.txt'; allowed: .csv .a table., .json"):
         import_stimulus(tmp_path / "in.txt", scene)
-    with pytest.raises(OutputError, match=r"the file's kind is '.txt'"):
+    with pytest.raises(OutputError, match=r"the kind of the file is '.txt'"):
         export_stimulus(exported(scene), tmp_path / "out.txt")
 
 

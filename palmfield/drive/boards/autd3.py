@@ -46,8 +46,8 @@ BETWEEN = 0.5 * (LEVELS[LOWEST][1:] + LEVELS[LOWEST][:-1])
 @dataclass(frozen=True)
 class Autd3(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """498 bytes a unit: 249 phases round(256 arg / 2 pi) mod 256, then 249 intensities, each the lowest of those
-        with the pulse closest to the amplitude."""
+        """498 bytes a unit: 249 phases round(256 arg / 2 pi) mod 256, then 249 intensities, each the lowest intensity
+        whose pulse is closest to the amplitude."""
         values = commanded(self, amplitudes)
         phase = phase_codes(np.exp(1j * np.angle(values)), STEPS)
         intensity = LOWEST[np.searchsorted(BETWEEN, np.abs(values))]

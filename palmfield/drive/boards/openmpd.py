@@ -28,7 +28,8 @@ class OpenMpd(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
         """Return 512 bytes: 256 phases, of which the first has 0x80 added, then 256 pulse widths.
 
-        A pulse starts at its phase, which is moved so that its middle stays where that of half a period would be.
+        A pulse starts at its phase. The phase is moved so that the middle of the pulse stays at the middle of a pulse
+        of half a period.
         """
         values = commanded(self, amplitudes)
         width = widths(np.minimum(np.abs(values), 1.0), STEPS)

@@ -59,7 +59,7 @@ class SonicSurface(Board):
 class BufferedTwin(Twin):
     """A firmware of two buffers and a byte counter, without reply.
 
-    A swap *exchanges* the buffers: after a short frame the missing addresses play their values of two frames before.
+    A swap *exchanges* the buffers. So after a short frame the missing addresses play their values of two frames before.
     Data beyond 256 bytes is flagged and dropped, as the reaction of the board is undefined.
     """
 

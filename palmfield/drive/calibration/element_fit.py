@@ -45,9 +45,9 @@ class ElementFit:
     """Result of the fit to the readings.
 
     elements: as in a calibration, by place, with addresses where signals are wired to other places than in the layout;
-    swapped: those places; unfit: columns of the readings that are loud and fit no place, which are off
-    p0_Pa_m: mean amplitude of those that sound, and its standard error from the scatter alone, without the microphone's
-        own calibration
+    swapped: those places; unfit: columns of the readings that are loud but fit no place; their transducers are off
+    p0_Pa_m: mean amplitude of the transducers that sound, and its standard error from the scatter alone, without the
+    error of the microphone
     moved_m: shift of the microphone from its nominal places, shape (m, 3); sound_speed_m_s: fitted speed of sound
     misfit: rms of the residual, relative to the rms reading
     """

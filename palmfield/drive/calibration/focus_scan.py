@@ -31,7 +31,7 @@ def fit_pose(
     array: array with calibrated gains, in its nominal frame
     foci_m: commanded for each reading, in that frame [m], shape (k, 3)
     at: places of the microphone, in the same frame [m], shape (k, 3); pressures_Pa: amplitudes, shape (k,)
-    temperature_sd_K: standard deviation of the temperature of the air: faster sound moves foci closer Rotations are
+    temperature_sd_K: standard deviation of the temperature of the air: faster sound moves foci closer. Rotations are
     fitted only for three separate foci or more, else only offsets (turn 0).
     Raises PalmfieldError for fewer than 8 readings, invalid shapes, readings below 0 or not finite, and for a loudest
     reading farther than WITHIN_M from its focus.

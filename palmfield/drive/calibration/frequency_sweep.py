@@ -26,8 +26,8 @@ class SweepFit:
     """Result of the fit: resonance_Hz and quality of all transducers together, with standard errors from the scatter
     over places.
 
-    misfit: rms residual, relative to the rms reading. If transducers differ in resonance, the quality is too
-    low: it is that of their sum.
+    misfit: rms residual, relative to the rms reading. If transducers differ in resonance, the quality is too low,
+    because it is the quality of their sum.
     """
 
     resonance_Hz: float
@@ -49,8 +49,8 @@ def fit_sweep(
 
     drive: complex amplitudes, the same at all frequencies, shape (n,); at: the places of the microphone, array frame
     [m], shape (m, 3), 8 at least; frequencies_Hz: shape (q,), 5 at least; pressures_Pa: complex (a delay is +phase),
-    (m, q) Raises PalmfieldError for fewer places or frequencies, invalid shapes, numbers that are not finite, and for a
-    resonance outside the sweep.
+    (m, q). Raises PalmfieldError for fewer places or frequencies, invalid shapes, numbers that are not finite, and for
+    a resonance outside the sweep.
     """
     where = check.points(np.asarray(at, float), np.float64)
     f, measured = np.asarray(frequencies_Hz, float), np.asarray(pressures_Pa, np.complex128)

@@ -24,7 +24,7 @@ SAME_M = 1e-6
 
 def read_board_file(path: str | Path) -> Calibration:
     """Read the calibration of layout openmpd from a board file: addresses, polarities, phases, and positions if they
-    differ from the layout's.
+    differ from those of the layout.
 
     Raises SceneError, with the line, for a file that cannot be read, another number of transducers, pins that are not 0
     to 255 each once, phases beyond 360 degrees, and amplitudes other than 1, which the driver does not use.

@@ -28,7 +28,7 @@ FOCUS_XYZ = ("focus_x_m", "focus_y_m", "focus_z_m")
 class Circumstances:
     """Circumstances of a measurement besides its readings.
 
-    source: who measured when, and with what; microphone_error: 95 % of its own calibration's error, relative
+    source: who measured when, and with what; microphone_error: limit of 95 % for the relative error of its calibration
     place_sd_m, temperature_sd_K: standard deviations of the places of the microphone, by axis, and of the temperature
     focus_m: commanded focus, array frame [m]; plate_m: sides of the plate [m]
     level: its pressure relative to full drive

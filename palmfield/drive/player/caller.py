@@ -35,7 +35,7 @@ ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT")
 def signals_to(alarm: socket.socket, silent_within_s: float) -> Iterator[None]:
     """In the block, numbers of signals are written to a socket at once, also while Python is busy.
 
-    alarm: never blocks; silent_within_s: time until the board is silent before Ctrl-Z stops this process Signals are
+    alarm: never blocks; silent_within_s: time until the board is silent before Ctrl-Z stops this process. Signals are
     caught only in the main thread, and not those that the process ignores (as SIGHUP under nohup).
     """
     if not in_main_thread():

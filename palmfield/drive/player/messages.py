@@ -30,7 +30,7 @@ class Job:
     patience_s: longest time to silence a board whose port exists and takes no bytes; 0 for no limit
     stale_s: time after which a live frame is old; ramp_s: time from silence to full and back, of live frames
     on_time_s: longest total of sound of live frames, 0 for any; duty: largest share of time, over duty_window_s
-    tells_frames: whether it reports when the last byte of each live frame was on the line
+    tells_frames: whether the player reports when the last byte of each live frame was on the line
     """
 
     port: str

@@ -27,7 +27,7 @@ def held_anywhere(cut: Sequence[Response]) -> list[Response]:
 
 
 def edge_error(own: Response, cut: Sequence[Response]) -> float:
-    """Return half the change of the displacement with other cut faces, static or harmonic, the larger.
+    """Return half of the larger change of the static or harmonic displacement with other cut faces.
 
     The result is 1 if only the cut faces support the layer.
     """

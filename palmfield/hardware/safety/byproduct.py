@@ -56,7 +56,8 @@ def rung(pressures: Complex, carrier_Hz: float, quality: float) -> Complex:
 def byproduct(
     powers_W: Float, distance_m: float, air: Air, carrier_Hz: float, along_m: float | None = None
 ) -> Byproduct:
-    """Return the by-product of ultrasound with a power at RATE_HZ, shape (k,), as if all of it were modulated.
+    """Return the audible by-product of ultrasound with a power over time, at RATE_HZ, shape (k,), as if all of it were
+    modulated.
 
     The beam is as long as absorption allows, and the force on a hand that stops all of it is 2 P/c: both are upper
     estimates. distance_m: distance of the listener from the beam; along_m: position along the beam from its beginning,

@@ -36,7 +36,7 @@ def read_scan(path: str | Path) -> Scan:
         )
     if reader is None:
         raise MeasurementError(
-            f"{file}: the file's kind is '{file.suffix}'; allowed: {', '.join(READERS)}, or a folder"
+            f"{file}: the kind of the file is '{file.suffix}'; allowed: {', '.join(READERS)}, or a folder"
         )
     scan = reader(file)
     extent = float(np.ptp(scan.points, axis=0).max())
@@ -52,5 +52,5 @@ def write_scan(path: str | Path, scan: Scan) -> None:
     file = Path(path)
     writer = WRITERS.get(file.suffix.lower())
     if writer is None:
-        raise OutputError(f"{file}: the file's kind is '{file.suffix}'; allowed: {', '.join(WRITERS)}")
+        raise OutputError(f"{file}: the kind of the file is '{file.suffix}'; allowed: {', '.join(WRITERS)}")
     writer(file, scan)

@@ -111,7 +111,8 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "
 def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
     """Return the ARP of examples at the quadrature points of a skin [Pa], shape (t, q); posed: the reference.
 
-    If the sound on the skin has shadows, those of the examples lie anywhere, for any obstacle in the reference.
+    If the sound on the skin has shadows, the examples have shadows at any place, whatever the obstacles in the
+    reference.
     """
     rng, shading = np.random.default_rng(0), np.random.default_rng(1)
     arrays, layer = posed.arrays, model.skins[skin].layer

@@ -31,7 +31,7 @@ def layer_compliance(
     k: lateral wavenumber, >= 0 [rad/m], any shape. f_Hz: frequency, 0 for static [Hz]. thickness_m: layer depth [m].
     base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction) or "free" (no traction).
     Returns complex128 of k's shape, under e^{-i w t}. k = 0 is a column that cannot widen. A static free-slip layer
-    under long waves can widen, so its limit for k -> 0 differs: h (1 - nu^2) / E.
+    under long waves can widen, so its limit for k -> 0 is another one: h (1 - nu^2) / E.
     Raises SceneError for an unknown base, a thickness <= 0, a negative frequency, or a free layer, which has no
     support, under static uniform pressure.
     """

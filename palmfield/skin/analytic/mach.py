@@ -18,7 +18,7 @@ def mach_half_angle(
 
     A slant stack (discrete Radon transform): for a trial angle b and each s, take the mean over |y| of the snapshot
     along the lines x + |y| / tan b = s. The result is the b with the largest sum of squares over s, by a parabola
-    through the three best values. Straight fronts of that slope add up there; round ones don't. The sum is over x,
+    through the three best values. Straight fronts of that slope add up there; round fronts do not. The sum is over x,
     because a sum over the distance between the lines would favour steep lines.
     Raises SceneError for shapes that don't fit and where skip_m leaves less than three rows on a side.
     """

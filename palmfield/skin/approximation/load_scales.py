@@ -24,8 +24,8 @@ ACROSS = 6.0
 def load_width(load: Load) -> float:
     """Return the full width at half maximum [m] of the pressure of a load.
 
-    Of given pressures, that of the Gaussian with the same (int p)^2 / int p^2, the smallest over the times. Raises
-    SceneError if there is no pressure.
+    For given pressures it is the width of the Gaussian with the same (int p)^2 / int p^2, the smallest over the times.
+    Raises SceneError if there is no pressure.
     """
     if isinstance(load, Spot):
         return load.fwhm_m
@@ -51,8 +51,8 @@ def distance_to_sides(body: Body, places: Float) -> Float:
 
 
 def pressure_at_sides(body: Body, load: Load) -> float:
-    """Largest pressure on the sides of a body over the peak of the load, 0 to 1; of given points, those at the
-    sides.
+    """Return the largest pressure on the sides of a body over the peak of the load, 0 to 1; for given points, only
+    points at the sides are used.
     """
     if isinstance(load, Spot):
         room = np.maximum(distance_to_sides(body, load.centres()), 0.0)
@@ -138,7 +138,8 @@ def mean_frequency(load: Load) -> float:
 
 
 def passing_frequency(load: Load, width_m: float) -> float:
-    """v / (2 width) of a spot that moves at up to v [Hz]: there a Gaussian passing by has fallen to a third; else 0."""
+    """Return v / (2 width) of a spot that moves at up to v [Hz]; at this frequency the spectrum of a passing Gaussian
+    has fallen to a third. 0 for a spot at rest."""
     if not isinstance(load, Spot) or len(load.times_s) < 2:
         return 0.0
     speeds = np.linalg.norm(np.diff(load.centres(), axis=0), axis=1) / np.diff(load.times_s)
@@ -148,8 +149,8 @@ def passing_frequency(load: Load, width_m: float) -> float:
 def load_frequency(load: Load, speed_m_s: float, width_m: float) -> float:
     """Return the highest frequency that a step must resolve [Hz].
 
-    The largest of c_s / (pi width), at which a spot let go rings, of passing_frequency, and, where the load is linear
-    between more than three times, of course_frequency.
+    It is the largest of three frequencies: c_s / (pi width), at which the skin rings after the end of a spot;
+    passing_frequency; and course_frequency if the load is linear between more than three times.
     """
     course = course_frequency(load) if len(load.times_s) > 3 and load.law == "linear" else 0.0
     return max(speed_m_s / (math.pi * width_m), passing_frequency(load, width_m), course)

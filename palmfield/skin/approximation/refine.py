@@ -181,9 +181,10 @@ def refine_in_depth(
 
 
 def error_by_meshes(coarse: MeshSolution, fine: MeshSolution) -> Float:
-    """Errors of the finer of two meshes from their difference, at MESH_ORDER and the edges that they really have, (3,).
+    """Return the errors of the finer of two meshes from their difference, at MESH_ORDER and with their actual edges,
+    (3,).
 
-    UNKNOWN where the two have the same triangles.
+    They are UNKNOWN if both meshes have the same triangles.
     """
     if coarse.triangles == fine.triangles:
         return np.full(3, UNKNOWN)

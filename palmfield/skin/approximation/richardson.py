@@ -35,7 +35,7 @@ def differences(solution: tuple[Float, Float], reference: tuple[Float, Float], n
     """Return the relative differences of displacement, velocity and normal displacement, (3,): QUANTITIES.
 
     solution, reference: displacements and velocities, (t, n, 3) each; normals: normals of the face at the points, (n,
-    3) At a single time they are those of difference_at_rest.
+    3). At a single time the result is that of difference_at_rest.
     """
     along = tuple(np.einsum("tnc,nc->tn", u[0], normals)[..., None] for u in (solution, reference))
     measure = difference_at_rest if len(reference[0]) == 1 else relative_difference

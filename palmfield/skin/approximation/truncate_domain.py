@@ -70,10 +70,11 @@ def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: f
 def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float, float] | None:
     """Distance from a spot [m] at which an edge changes its motion by at most SHARE of the accuracy, and that change.
 
-    The motion at a distance over that at the centre, both as energies summed over the bands of the load. An edge there
-    reflects a wave of at most that, which decays on its way as the first one did. A guided wave, above c_s / 4h, meets
-    in the middle of a round edge with sqrt(2 pi k R) of its amplitude there. Larger distances count as well, because
-    motion may pass through 0. None if no distance up to FURTHEST widths is enough.
+    The change is computed from the motion at a distance over the motion at the centre, both as energies summed over the
+    bands of the load. An edge at this distance reflects a wave with at most this ratio, which decays by the same ratio
+    on its way back. A guided wave, above c_s / 4h, focuses in the middle of a round edge, with sqrt(2 pi k R) times its
+    amplitude at the edge. Larger distances count as well, because motion may pass through 0. None if no distance up to
+    FURTHEST widths is enough.
     """
     material, width = body.sheets[0].material, load_width(load)
     depth = float(body.patch.depth.max())
@@ -98,7 +99,7 @@ def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float
 
 
 def part_of(patch: Patch, kept: NDArray[np.bool_]) -> Patch:
-    """Return the patch of some faces, (m,) bool; its rim is where no other of them follows."""
+    """Return the patch of some faces, (m,) bool; its rim has the edges that belong to only one of them."""
     numbers, faces = np.unique(patch.faces[kept], return_inverse=True)
     corners: Int = faces.reshape(-1, 3).astype(np.int32)
     return replace(

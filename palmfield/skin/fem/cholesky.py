@@ -24,7 +24,7 @@ FEW, CHUNK = 4, 128
 
 
 class Cholesky:
-    """Factor of one matrix, sparse (n, n), eliminated in an order (n,); see `block_factor` for what it raises.
+    """Factor of one matrix, sparse (n, n), eliminated in an order (n,); errors as `block_factor`.
 
     A factor serves one thread at a time: others wait.
     """

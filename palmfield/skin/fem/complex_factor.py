@@ -11,8 +11,8 @@ from palmfield.types import Complex, Int
 
 
 class ComplexFactor:
-    """Factor L L^T of one matrix, sparse (n, n), eliminated in an order (n,); see `eliminate` for which, and what it
-    raises.
+    """Factor L L^T of one matrix, sparse (n, n), eliminated in an order (n,); see `eliminate` for the allowed matrices
+    and the errors.
 
     A factor serves one thread at a time: others wait.
     """

@@ -31,7 +31,7 @@ def condensed(k: Float, f_Hz: float, sheets: Sequence[Sheet], degree: int | None
     """Dynamic stiffness of sheets [Pa/m], shape (n, 4, 4): by (a, b) on their top, then by their rise to the bottom.
 
     k: wavenumbers [rad/m], > 0, shape (n,); f_Hz: >= 0, under e^{-i w t}; sheets: the first on top
-    degree: degree of one polynomial for each sheet; None for as many pieces of DEGREE as make it exact
+    degree: degree of one polynomial for each sheet; None for so many pieces of DEGREE that the result is exact
     """
     k = np.asarray(k, dtype=float)
     total = None

@@ -99,8 +99,8 @@ class Scheme:
         self.terms = [term for term in terms if term.matrix.nnz]
 
     def stiffened(self, parts: int) -> list[float]:
-        """Factor of G / G_r in a step of the last terms, those of the parts of a body: how much stiffer the matrix that
-        is solved takes them than the terms without relaxation."""
+        """Factor of G / G_r in a step for the last terms, which belong to the parts of a body. The solved matrix
+        contains these terms stiffer by this factor than the terms without relaxation."""
         return [term.coefficient / (1.0 - self.alpha_f) for term in self.terms[-parts:]]
 
     def effective(self) -> sparse.csr_matrix:

@@ -24,12 +24,12 @@ CHUNK = 20_000
 
 
 def between_points(points: Float, normals: Float, areas_m2: Float, places: Float, facing: Float) -> sparse.csr_matrix:
-    """Return the weights of pressures at points in the pressure at places, csr, (q, p): linear on triangles of points.
+    """Return the matrix from pressures at points to the pressure at places, csr, (q, p), linear on triangles of points.
 
-    Rows sum to 1 or, where there is no pressure, to 0. The triangle of a place is one of near points, in the plane that
-    touches the surface there: the one whose corners have the least mean squared distance, which is Delaunay's (Rajan
-    1994, Discrete Comput. Geom. 12, 189). A place outside all triangles has the pressure of the nearest point, up to
-    the radius of a disc of its area.
+    Rows sum to 1 or, where there is no pressure, to 0. The triangle of a place has near points as corners, in the plane
+    that touches the surface there. It is the triangle whose corners have the least mean squared distance, as in a
+    Delaunay triangulation (Rajan 1994, Discrete Comput. Geom. 12, 189). A place outside all triangles has the pressure
+    of the nearest point, up to the radius of a disc of its area.
 
     points, normals: [m] and outward unit vectors, shape (p, 3). areas_m2: areas of each point, (p,).
     places, facing: the same of the places, shape (q, 3).
@@ -49,8 +49,8 @@ def spread_forces(
     """Return the pressures at places for unit pressures at points, csr, shape (q, p), each spread over a disc of its
     area.
 
-    Its pressure falls from the middle as a parabola does, and its force is that of the area; a column is empty where no
-    place lies on the disc. Arguments as of `between_points`; weights_m2: areas of the places, shape (q,)
+    The pressure falls from the middle of the disc as a parabola, and its force is that of the area. If no place lies on
+    the disc, the column is empty. Arguments as of `between_points`; weights_m2: areas of the places, shape (q,)
     """
     # Parabola with the second moment of the disc
     reach = np.sqrt(1.5 * areas_m2 / np.pi)

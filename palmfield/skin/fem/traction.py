@@ -56,16 +56,19 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
 def field_at(
     load: Traction, normals: Float, places: Float, facing: Float, weights_m2: Float | None
 ) -> sparse.csr_matrix:
-    """Return the weights of the pressures of a traction in the pressure at places of a face, csr, shape (q, p).
+    """Return the matrix from the pressures at the points of a traction to the pressure at places of a face, csr, shape
+    (q, p).
 
     The pressure is linear between the points and constant over half a spacing beyond the outermost.
     Points seen from above are joined by Delaunay triangles in x and y. Skin above or below a triangle, farther from it
     than its longest edge, has no pressure. Points about a body are joined by triangles in its own surface. If points
     are on a line, or their areas are not those between them, their forces are spread over discs of these areas.
-    The force of the mean magnitude of the pressure over time is that of the areas of the points.
+    For the mean magnitude of the pressure over time, the force is preserved: it is pressure times the areas of the
+    points.
 
-    normals: outward unit normals at the points, (p, 3); places [m], facing: the same of the face, (q, 3).
-    weights_m2: area of each place, (q,), by which the force is kept. None: only pressures are needed.
+    normals: outward unit normals at the points, (p, 3); places [m], facing: places of the face and the outward normals
+    there, (q, 3).
+    weights_m2: area of each place, (q,), to preserve the force; None if only pressures are needed.
     """
     net = seen_from_above(load)
     if net:

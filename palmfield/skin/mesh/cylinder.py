@@ -19,9 +19,10 @@ def cylinder_patch(radius_m: float, length_m: float, thickness_m: float, edge_m:
     The axis is x, the middle the origin. Its vertices lie on the cylinder and the edges between them are straight:
     quartering them makes elements smaller and leaves their outline, so `edge_m` determines how round it is.
 
-    radius_m: radius of the face; thickness_m: thickness of the layer, so that the bone has the rest; edge_m: round it
-    and along it [m] Returns a Patch whose rim is both ends. Raises SceneError unless all lengths are above 0, the
-    thickness is below the radius, and edges are no longer than the cylinder and a twelfth of its girth.
+    radius_m: radius of the face; thickness_m: thickness of the layer, so that the bone has the rest; edge_m: edge
+    length round the cylinder and along it [m]. Returns a Patch whose rim is both ends. Raises SceneError unless all
+    lengths are above 0, the thickness is below the radius, and edges are no longer than the cylinder and a twelfth of
+    its girth.
     """
     _check(radius_m, length_m, edge_m)
     if not 0.0 < thickness_m < radius_m:

@@ -32,8 +32,8 @@ def dissection_order(mesh: WedgeMesh, surface_node: Int) -> Int:
 
     surface_node: surface node under which each unknown lies, shape (n,)
     The layer is thin, so its surface alone is dissected, all unknowns under one surface node staying together. A piece
-    is a set of triangles; of some cuts through it the one with the fewest nodes on both sides is taken, since these
-    separate the two. Nodes without unknowns separate at no cost.
+    is a set of triangles. Of some cuts through a piece, the cut with the fewest nodes on both sides is used, since
+    these nodes separate the two halves. Nodes without unknowns separate at no cost.
     """
     free = np.zeros(mesh.surface_nodes, dtype=bool)
     free[surface_node] = True

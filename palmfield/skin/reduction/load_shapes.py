@@ -86,7 +86,8 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
 
 
 def in_gap(sizes: Float, count: int) -> int:
-    """The least number of sizes (n,), falling, of at least `count` that ends where the next one is smaller by LEVEL.
+    """Return the least number of sizes, (n,), falling, that is at least `count` and after which the next size is
+    smaller by LEVEL.
 
     Symmetric bodies have sizes in pairs; a cut between two equal ones would be made by rounding.
     """

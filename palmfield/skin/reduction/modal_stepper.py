@@ -279,8 +279,8 @@ class ModalStepper(SkinStepper):
         return self.weighed(squares)
 
     def weighed(self, squares: Sequence[float]) -> Outside:
-        """The part of the load outside the class, from sums of squares over substeps: of the remainder in the energy
-        norm, of the whole load in it, and of both as plain pressure [Pa^2]."""
+        """Return the part of the load outside the class. The arguments are sums of squares over substeps: of the
+        remainder and of the whole load, each in the energy norm and as plain pressure [Pa^2]."""
         outside, whole, plain, plain_whole = squares
         return Outside(self._hidden * outside, whole, self._hidden * plain, plain_whole)
 

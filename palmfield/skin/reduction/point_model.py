@@ -111,9 +111,9 @@ def point_model(
     others: the layer with other materials, on the same mesh with the same conditions. Their models follow that of the
         layer in the list, in the same vectors: displacements are within 1 % for moduli of 0.6 to 1.7 times those of the
         layer (tests/skin/test_point_model.py).
-    The error is SAFETY times the change by the last ROUND vectors or more, the largest of the motion over WINDOW_S
-    after a sudden start, L2 over the window, of the displacement at rest and of the harmonic ones in BAND; above
-    TOLERANCE if MOST_VECTORS don't reach it. Kept in the cache (`palmfield.cache`).
+    The error is SAFETY times the change by the last ROUND vectors or more. It is the largest of three changes: of the
+    motion over WINDOW_S after a sudden start (L2 over the window), of the displacement at rest, and of the harmonic
+    displacements in BAND. It is above TOLERANCE if MOST_VECTORS are not enough. Kept in the cache (`palmfield.cache`).
     Raises SceneError for a force or a reading of 0.
     """
     size = float(np.linalg.norm(force))

@@ -294,9 +294,10 @@ def reduced_stepper(
     highest_Hz: highest relevant frequency [Hz]. tolerance: target relative error.
     pressures: those that compose the load, so that only their points are evaluated; None for all points.
     The error is the larger of two. The first is SAFETY times the change of the motion under the load from rest by the
-    last ROUND vectors or more: L2 over times, the larger of over the surface and at the point. The second is of the
-    steady motion at the frequencies of the load: the displacement of the residual by the stored factors, over the
-    surface. Both refer to a smaller or a stiffer body than the true one, so they are estimates, not bounds.
+    last ROUND vectors or more, in L2 over times; it is the larger of the changes over the surface and at the point. The
+    second is the error of the steady motion at the frequencies of the load, over the surface: the displacement under
+    the residual, computed with the stored factors. Both refer to a smaller or a stiffer body than the true one, so they
+    are estimates, not bounds.
     Raises SceneError if MOST_VECTORS don't reach the tolerance.
     """
     small, vectors, error, any_course = known_model(

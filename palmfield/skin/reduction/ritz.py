@@ -124,7 +124,8 @@ def ritz_modes(
     stiffened: Sequence[float],
     relaxed: Float,
 ) -> RitzModes:
-    """Modes of a body for forces [N], shape (n, m), of which a load has shares of given rms sizes, shape (m,).
+    """Return the modes of a body for loads that are sums of some forces [N], shape (n, m), with shares of given rms
+    sizes, shape (m,).
 
     factor: as returned by `shifted(system)`. blocks: vectors of the space for each force, at least 2, or 4 of several
     laws.
@@ -132,8 +133,8 @@ def ritz_modes(
     surface: operator of the displacement that must be right, csr, shape (S, n).
     stiffened: for coupled modes, the factor of G / G_r of each law in a substep
         (palmfield.skin.fem.generalised_alpha), shape (p,).
-    relaxed: of several laws, solutions of `shifted(system, relaxed=True)` for forces * sizes, shape (n, m), or (n, 0).
-        Relaxed sheets share a load differently, for which powers of A^-1 M cannot compensate.
+    relaxed: for several laws, the solutions of `shifted(system, relaxed=True)` for forces * sizes, shape (n, m), or (n,
+        0). Relaxed sheets share a load differently, for which powers of A^-1 M cannot compensate.
     """
     materials = [part.material for part in system.parts]
     # With the stiffness of the materials at a middle frequency, at which modes are not coupled

@@ -89,7 +89,7 @@ def unevenness(body: Slab, load: Spot) -> float:
 def check_sides(body: Slab, load: Load, accuracy: float) -> float:
     """Pressure at the sides of a slab over the peak of the spot, which the wavenumbers omit; 0 for pressures at points.
 
-    For a pressure that is even over the slab to EVEN, its unevenness.
+    For a pressure that is even over the slab to EVEN, the result is its unevenness.
 
     Raises SceneError where it is more than AT_SIDES of the target accuracy.
     """

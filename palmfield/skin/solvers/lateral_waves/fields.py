@@ -85,7 +85,7 @@ class PeriodicSlab(_Field):
 
     @cached_property
     def waves(self) -> WaveSet:
-        """One of each pair of waves k, -k, with the transform of the spot in the weights."""
+        """Waves, one of each pair k, -k; their weights contain the transform of the spot."""
         half = 0.5 * self.period_m
         resolution = resolution_for(self.tolerance, 0.0, self.speed_m_s)
         vectors, weights, k, group = lattice((half, half), resolution.cut(self.fwhm_m))
@@ -180,9 +180,9 @@ def _maps(amplitude: Complex, numbers: Int, cells: int, shown: Int) -> Float32:
 class WalledDisc(_Field):
     """A disc within a smooth wall, which reflects all waves: no radial motion there, free along z.
 
-    Its lateral waves are J_m(k r) e^{i m phi} with J_m'(k R) = 0. They leave a shear traction along the wall of about
-    2 m / (k R)^2 of that of the wave, from the curvature of the wall, which is neglected: 1 % for 12 mm waves on 25 cm.
-    A free slab moves as a whole, because it has no support. The slab is a disc with rollers.
+    Its lateral waves are J_m(k r) e^{i m phi} with J_m'(k R) = 0. Because the curvature of the wall is neglected, a
+    shear traction remains along the wall, about 2 m / (k R)^2 of that of the wave: 1 % for 12 mm waves on 25 cm. A free
+    slab moves as a whole, because it has no support. The slab is a disc with rollers.
     """
 
     def __post_init__(self) -> None:

@@ -47,9 +47,10 @@ class ModalProblem:
 def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> ModalProblem:
     """Return the undamped modes that matter for the face, and the static shapes of all the others.
 
-    A mode adds b^2/w^2 (1 - cos wt) to the step response, b its part in the face. The smallest are left out while the
-    root of their summed squares stays below `tolerance` of all. Their sum remains, as one shape, so that the static
-    solution is that of the whole problem. A second shape does the same for the stiffness at once, branches included.
+    A mode with the part b in the face adds b^2/w^2 (1 - cos wt) to the step response. The smallest modes are left out
+    while the root of their summed squares stays below `tolerance` of all. Their sum is kept as one shape, so that the
+    static solution is that of the whole problem. A second shape does the same for the instantaneous stiffness, which
+    includes the branches.
     """
     root = cholesky(problem.mass)
     # From the factor, whose values have errors of 1e-16 of the largest; its square would have 1e-16 of that squared

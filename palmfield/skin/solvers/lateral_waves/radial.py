@@ -51,8 +51,9 @@ def compute_modes(
 
 
 def step_response(modes: FaceModes, times: Float, pace_1_s: float) -> Float:
-    """Normal displacement and velocity after a unit step of pressure, shape (2, t). The velocity is without parts
-    faster than the load, such as echoes of a pressure wave, which a slower load does not excite."""
+    """Normal displacement and velocity after a unit step of pressure, shape (2, t). Parts of the velocity that are
+    faster than the load are omitted, for example echoes of a pressure wave, because a slower load does not excite
+    them."""
     turned = np.outer(times, modes.poles)
     moved = np.expm1(turned) / modes.poles
     slow = modes.normal / (1.0 + np.abs(modes.poles / pace_1_s) ** 2)

@@ -38,7 +38,7 @@ class Cloud:
     remembers: whether the site and its neighbours are of one material, (s,).
     incoming: s * k + slot of the pairs in which a particle is the neighbour, (n, b). incoming_count: (n,).
     surface: number within the face of each particle, -1 below it, (n,); face_area: outward area vector [m^2] of the
-        particles of the face, which come first, (f, 3); columns: as laid out.
+        particles of the face, which come first, (f, 3); columns: columns of the particles.
     """
 
     points: Float

@@ -86,7 +86,8 @@ def _along_face(body: Body, load: Load) -> float:
 
 
 def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
-    """Spacing [m] at which law_error is `accuracy`; in depth alone it may have to be finer than along the face.
+    """Return the spacing [m] at which law_error is `accuracy`; the spacing in depth may have to be finer than along the
+    face.
 
     Below FINEST it is that of FINEST. Raises SceneError for an accuracy that is not above 0 and at most 1.
     """

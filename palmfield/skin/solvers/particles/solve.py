@@ -52,9 +52,9 @@ def solve_particles(
     the vertices of its patch, and spacing_m sets its levels only.
     step_s, follower: as in run_particles.
     The spot of a layer is measured in the x and y of the frame of the patch.
-    The error of a slab is from a second run with particles COARSER times as far apart, at ORDER, but at least half of
-    law_error (the difference may pass through 0), and all of it where the spot reaches the sides. That of a layer is
-    law_error at its own edges. L2 over the times at a point, the largest of the points.
+    The error of a slab follows, with ORDER, from a second run with particles COARSER times as far apart. It is at least
+    half of law_error, because the difference may pass through 0, and at least law_error if the spot reaches the sides.
+    The error of a layer is law_error at its own edges. L2 over the times at a point, the largest of the points.
     Raises SceneError if refusal_particles returns a reason, for a wrong spacing, accuracy or step, and for a crushed
     body.
     """

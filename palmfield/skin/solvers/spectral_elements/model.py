@@ -223,7 +223,8 @@ class Model:
 
 
 def reduced(values: Float, gll: Rule) -> Float:
-    """Nodal values, (E, n, n, n), less their share of the highest Legendre polynomial along each direction."""
+    """Return nodal values, (E, n, n, n), without their share of the highest Legendre polynomial along each
+    direction."""
     for axis in (1, 2, 3):
         share = np.tensordot(values, gll.top_weights, (axis, 0))[..., None] * gll.top
         values = values - np.moveaxis(share, -1, axis)
@@ -267,7 +268,8 @@ def constraints(
 
 
 def hold(model: Model, base: BaseKind | Springs, side: SideKind | None, damping: Float | None = None) -> Holds:
-    """Constraints of base and sides; "absorbing" sides get Lysmer & Kuhlemeyer's (1969) dashpots rho c at once."""
+    """Return the constraints of base and sides; "absorbing" sides get dashpots rho c with the instantaneous speeds
+    (Lysmer & Kuhlemeyer 1969)."""
     solid, quads = model.solid, model.solid.quads
     count, levels = solid.surface_nodes, solid.levels
     bottom = np.arange((levels - 1) * count, levels * count)

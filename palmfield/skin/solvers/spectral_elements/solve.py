@@ -164,9 +164,9 @@ def finer_spectral_elements(problem: SkinProblem, miss: float, **last: Any) -> A
 
 def comparison_plan(body: Body, chosen: Plan, singular: bool) -> Plan:
     """Return the mesh for the error estimate: wider elements, or another order if those would be the same elements.
-    This happens on a given patch of triangles and if few elements lie under the load. Near a singular fixed edge, wider
-    elements may be the same ones at the edge, and show no error. Order 1 has no lower one: the next higher estimates
-    its error, in a shorter time (`window`). A sponge is smaller too.
+    They are the same on a given patch of triangles, and if few elements lie under the load. Near a singular fixed edge,
+    wider elements may have the same elements at the edge and show no error. There is no order below 1, so the next
+    higher order estimates its error, over a shorter time (`window`). The sponge is smaller too.
     """
     margin, sponge = 0.6 * chosen.margin_m, 0.8 * chosen.sponge_m
     if not isinstance(body, Layer) and not singular:
@@ -222,9 +222,9 @@ def solve_spectral_elements(
 
     order: N of the elements, 1 to 7 (1 integrates too coarsely except in prisms). size_m: their width [m] (slabs).
     deep: elements through each sheet. step_s: [s], at most the stable one. precision: "float32" or "float64".
-    nu_at_most: reduces the bulk modulus if Poisson's ratio at once is above this, for larger steps; the error includes
-    it. By default a value that the accuracy allows (palmfield.skin.approximation.reduce_bulk_modulus); 0.5 leaves the
-    material unchanged.
+    nu_at_most: if the instantaneous Poisson's ratio is above this value, the bulk modulus is reduced for larger steps;
+    the error includes the effect. By default a value that the accuracy allows
+    (palmfield.skin.approximation.reduce_bulk_modulus); 0.5 leaves the material unchanged.
     estimate: False leaves the second run out; the error is then NaN.
     softened: result of reduce_bulk_modulus for the body, where available.
     Raises SceneError if `refusal_spectral_elements` returns a reason, for an element inside out, a step above the
