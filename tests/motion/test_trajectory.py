@@ -138,7 +138,7 @@ def test_broken_files_are_read_or_refused_and_nothing_else(tmp_path, median, swi
 
 def test_what_cannot_be_written_is_refused(tmp_path, median, swing):
     poses = [swing(0.0), swing(1.0)]
-    with pytest.raises(OutputError, match=r"kind is '\.txt'"):
+    with pytest.raises(OutputError, match=r"kind of the file is '\.txt'"):
         write_trajectory(tmp_path / "motion.txt", median, [0.0, 1.0], poses)
     with pytest.raises(OutputError, match="cannot write"):
         write_trajectory(tmp_path / "no_folder" / "motion.csv", median, [0.0, 1.0], poses)

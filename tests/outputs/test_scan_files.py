@@ -76,7 +76,7 @@ def test_files_of_other_kinds_and_places_are_refused(tmp_path):
         read_scan(tmp_path / "a.xlsx")
     with pytest.raises(MeasurementError, match="cannot be read"):
         read_scan(tmp_path / "none.csv")
-    with pytest.raises(OutputError, match=r"kind is '.xlsx'"):
+    with pytest.raises(OutputError, match=r"kind of the file is '.xlsx'"):
         write_scan(tmp_path / "a.xlsx", scan())
     with pytest.raises(OutputError, match="cannot write"):
         write_scan(tmp_path / "no" / "a.csv", scan())
