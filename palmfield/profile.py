@@ -144,7 +144,7 @@ class Profile:
         for path, times in phases.items():
             own = self.phases.setdefault(path, Times())
             own.cpu_s += times.cpu_s
-            own.beside_s += times.wall_s
+            own.beside_s += times.wall_s + times.beside_s
             own.calls += times.calls
             own.peak_bytes = max(own.peak_bytes, times.peak_bytes)
             self._others_cpu_s += times.cpu_s * (len(path) == 1)

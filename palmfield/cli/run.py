@@ -79,7 +79,7 @@ def run(
         from palmfield.estimate.estimated_run import checked_kind
         from palmfield.outputs.summary_table import format_summary
         from palmfield.planning.scene_plan import warnings
-        from palmfield.session.recorded_run import drawn_in_second_process
+        from palmfield.session.recorded_run import second_process_draws
 
         run_scene = palmfield.run
 
@@ -92,7 +92,7 @@ def run(
     kinds = [] if no_plots else None if plots is None else [kind for kind in plots.split(",") if kind]
     changed, out = options.parsed_keys(keys), out or Path("out") / scene.stem
     if kinds is None or not no_usd:
-        context.with_resource(drawn_in_second_process())
+        context.with_resource(second_process_draws())
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
         with phase("reading and building the scene"):
             simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=changed)

@@ -4,7 +4,7 @@ import json
 import logging
 import platform
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -58,7 +58,7 @@ PICTURES: tuple[tuple[str, Callable[..., None]], ...] = (
 """Functions of a result and a path, and of an `image` if IN_PARALLEL has the name."""
 IN_PARALLEL: dict[str, Callable[[Any], Any]] = {"scene.png": _scene_image}
 """Images that a thread makes while other pictures are drawn, because ray casting releases the GIL."""
-DRAWING = ("matplotlib.backends.backend_agg", "pxr", "palmfield.outputs.plots", "palmfield.outputs.usd.write")
+DRAWING = ("matplotlib", "pxr", *(f"palmfield.outputs.{name}" for name in ("plots", "render", "usd.write")))
 """Modules for these functions, which take half a second to load."""
 CONVENTIONS = {
     "time_factor": "e^{-i w t}: a delay is +phase",
@@ -256,7 +256,7 @@ def draw(
             LOG.warning("no picture %s: %s", kind, error)
     requested = [name for name, _ in PICTURES if (plots is None if name.endswith(".png") else usd)]
     order, made = sorted(requested, key=lambda name: name in IN_PARALLEL), set[str]()
-    with closing((_drawn_in_second if _second else _drawn_in_threads)(tree, out, order)) as pictures:
+    with closing((_drawn_in_second_process if _second else _drawn)(tree, out, order)) as pictures:
         for name, failure in pictures:
             if failure is None:
                 made.add(name)
@@ -272,31 +272,25 @@ Drawn = Generator[tuple[str, Exception | None], None, None]
 """Names of pictures, each with the error that prevented it."""
 
 
-def _drawn(tree: xr.DataTree, out: Path, names: Sequence[str], images: Mapping[str, Callable[[], Any]]) -> Drawn:
-    """Draw pictures; images: functions that return the images of those in IN_PARALLEL"""
+def _drawn(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
+    """Draw pictures, and images of those in IN_PARALLEL in a thread."""
     make = dict(PICTURES)
-    for name in names:
-        try:
-            with phase("plots" if name.endswith(".png") else "USD"), phase(name):
-                make[name](tree, out / name, **({"image": images[name]()} if name in images else {}))
-            yield name, None
-        except Exception as error:
-            yield name, error
-
-
-def _drawn_in_threads(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
     with ThreadPoolExecutor(1, "palmfield-picture") as thread:
-        images = {name: thread.submit(begin, tree).result for name, begin in IN_PARALLEL.items() if name in names}
-        yield from _drawn(tree, out, names, images)
+        started = {name: thread.submit(begin, tree) for name, begin in IN_PARALLEL.items() if name in names}
+        for name in names:
+            try:
+                with phase("plots" if name.endswith(".png") else "USD"), phase(name):
+                    make[name](tree, out / name, **({"image": started[name].result()} if name in started else {}))
+                yield name, None
+            except Exception as error:
+                yield name, error
 
 
-def _drawn_in_second(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
-    """Draw in the second process, to which this one sends the images; if it has ended, in this process."""
+def _drawn_in_second_process(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
+    """Draw in the second process, or in this one if it has ended."""
     remaining, second = list(names), _second.pop()
     try:
         second.talk.send((out, remaining))
-        for name in [name for name in remaining if name in IN_PARALLEL]:
-            second.talk.send(_image_or_error(name, tree))
         while remaining:
             with phase("second process"):
                 name, error = second.talk.recv()
@@ -305,7 +299,7 @@ def _drawn_in_second(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Draw
         for profile in running[-1:]:
             profile.add_process(second.talk.recv())
     except (EOFError, OSError):
-        yield from _drawn_in_threads(tree, out, remaining)
+        yield from _drawn(tree, out, remaining)
     finally:
         second.end(working=bool(remaining))
 
@@ -313,25 +307,11 @@ def _drawn_in_second(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Draw
 def _draw_for_first(talk: Connection) -> None:
     """Draw what the first process requests over a connection."""
     out, names = talk.recv()
-    with finished_result(out / "result.nc") as tree:
-        for name, error in _drawn(tree, out, names, dict.fromkeys(IN_PARALLEL, partial(_received, talk))):
+    with finished_result(out / "result.nc") as tree, closing(_drawn(tree, out, names)) as pictures:
+        for name, error in pictures:
             if error is not None and not isinstance(error, OutputError):
                 error.add_note("".join(format_exception(error)))
             talk.send((name, error))
-
-
-def _image_or_error(name: str, tree: xr.DataTree) -> Any:
-    try:
-        return IN_PARALLEL[name](tree)
-    except Exception as error:
-        return error
-
-
-def _received(talk: Connection) -> Any:
-    image = talk.recv()
-    if isinstance(image, Exception):
-        raise image
-    return image
 
 
 _second: list[SecondProcess] = []
@@ -339,7 +319,7 @@ _second: list[SecondProcess] = []
 
 
 @contextmanager
-def drawn_in_second_process() -> Iterator[None]:
+def second_process_draws() -> Iterator[None]:
     """Let a second process load Matplotlib and OpenUSD during a run in the block, and draw its pictures.
 
     For programs that own their process; without effect if it cannot be copied, or has loaded them already.

@@ -67,7 +67,7 @@ def gone(number):
 
 def test_pictures_are_those_of_one_process(small_scene, tmp_path):
     path = small_scene()
-    code = "with recorded_run.drawn_in_second_process():\n    begin()\n    print(*drawn().files)"
+    code = "with recorded_run.second_process_draws():\n    begin()\n    print(*drawn().files)"
     said, errors, code = ended(code, path, tmp_path / "two")
     names = ["result.nc", "summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc"]
     assert said.split()[1:] == names and code == 0 and errors == ""
@@ -77,14 +77,14 @@ def test_pictures_are_those_of_one_process(small_scene, tmp_path):
 
 
 def test_a_run_without_pictures_ends_its_second_process(small_scene, tmp_path):
-    code = "with recorded_run.drawn_in_second_process():\n    begin()\n    print(*drawn(plots=[], usd=False).files)"
+    code = "with recorded_run.second_process_draws():\n    begin()\n    print(*drawn(plots=[], usd=False).files)"
     assert ended(code, small_scene(), tmp_path)[0].split()[1:] == ["result.nc", "summary.json"]
 
 
 def test_errors_are_those_of_one_process(small_scene, tmp_path):
     code = """
 recorded_run.PICTURES = (("pressure.png", no_room), ("displacement.png", fails))
-with recorded_run.drawn_in_second_process():
+with recorded_run.second_process_draws():
     begin()
     drawn()
 """
@@ -95,7 +95,7 @@ with recorded_run.drawn_in_second_process():
 
 def test_the_first_process_draws_what_the_second_one_left(small_scene, tmp_path):
     code = """
-with recorded_run.drawn_in_second_process():
+with recorded_run.second_process_draws():
     begin().kill()
     print(*drawn(usd=False).files)
 """
@@ -105,7 +105,7 @@ with recorded_run.drawn_in_second_process():
 
 SLOW = """
 recorded_run.PICTURES = (("pressure.png", slow),)
-with recorded_run.drawn_in_second_process():
+with recorded_run.second_process_draws():
     begin()
     drawn()
 """
