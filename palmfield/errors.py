@@ -115,7 +115,7 @@ class explaining:
 
 
 class naming:
-    """Return a context that adds names and remedies to a PalmfieldError raised in the block, if it has none."""
+    """Return a context that adds names and remedies to a PalmfieldError that is raised in the block without them."""
 
     def __init__(self, *about: str, mends: Sequence[str] = ()):
         self.about, self.mends = about, mends

@@ -105,7 +105,8 @@ def _helpers() -> "SimpleQueue[_Offer]":
 
 
 def in_parts(count: int, size: int, work: Callable[[slice], object]) -> None:
-    """Do work for all slices of a size of a range, on all cores. The slices don't depend on the number of cores."""
+    """Divide a range into slices of a given size and do work for all slices, on all cores. The slices do not depend on
+    the number of cores."""
     share([(functools.partial(work, slice(at, min(at + size, count))),) for at in range(0, count, size)], cores())
 
 

@@ -417,7 +417,8 @@ STORIES = {
         MAP_FIRST, follow),
     "stroke_palm": Story(
         "A focus strokes the skin of a hand at rest, from the thenar to the pulp of the index finger and back, as in "
-        "the study of Reardon et al. A thin reference layer takes less time ([stroke](bench/stroke.md)).",
+        "the study of Reardon et al. The same stroke on a thin reference layer takes less time "
+        "([stroke](bench/stroke.md)).",
         EQUAL, stroke),
     "trace_shape": Story(
         "A focus writes a Z on the palm of a rolling hand. The path rotates with the skin.",

@@ -234,7 +234,7 @@ class PhasedArray:
     array: all transducers, for positions, directions and gains; for sound use `pressure64` or `field`, because with
         different directivities it has the largest piston and no table. impedance: rho c^2 of the air [Pa].
     frames: frame of each part relative to the first. boards: outline of each part, in its own frame.
-    sides: numbers, among all transducers, of those of each part, or of each direction of a part that wraps a body.
+    sides: numbers of the transducers of each part, or of each direction of a part that wraps a body.
     corners: corners of a box round the transducers of each side, array frame [m], shape (8 sides, 3).
     facing: mean direction of the transducers of each side, array frame, by column, shape (3, sides).
     heights: height of the centre of each side along that direction [m], shape (sides,).

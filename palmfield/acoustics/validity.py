@@ -53,7 +53,7 @@ def warnings(
     pressure: peak pressure at the points, complex or magnitude [Pa], shape (n,), or one number.
     beam: drive, complex amplitudes, shape (len(array),), and focus, shape (3,), of the beam; default: focused at the
         loudest point.
-    Raises PalmfieldError for points or pressures that are not finite or don't match, SceneError for bad air or array.
+    Raises PalmfieldError for points or pressures that are not finite or do not match, SceneError for bad air or array.
     """
     check.array(array)
     where = check.points(np.atleast_2d(check.numbers(points, "points")), np.float64)

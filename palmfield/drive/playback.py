@@ -38,7 +38,7 @@ def frame_times(
     """Return due times of frames [s]: at points of paths and control ticks, at jumps, and every REFRESH_S otherwise.
 
     step_s: MuJoCo step [s], if a part moves: poses change at the start of a step, so less frequent frames are due there
-    besides: further due times, unless another is within least_s [s]
+    besides: further due times, which are omitted if another due time is within least_s [s]
     Raises SceneError for a duration or a step that is not finite and above 0, and for more than MOST_FRAMES.
     """
     for name, value in (("duration_s", duration_s), ("step_s", 1.0 if step_s is None else step_s)):

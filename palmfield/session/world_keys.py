@@ -29,7 +29,8 @@ SHARED = {
 
 @dataclass(frozen=True)
 class WorldKeys:
-    """Keys of a simulation. common: keys of the model; for keys that differ the values of the first world
+    """Keys of a simulation. common: keys of the model; if a key differs between worlds, it has the value of the first
+    world
     differing: changed values by instance and key, a value for each world"""
 
     common: dict[str, object]
@@ -37,7 +38,7 @@ class WorldKeys:
 
 
 def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, str]) -> WorldKeys:
-    """Separate keys with one value from keys with a value for each world, which have one more axis.
+    """Separate keys with one value from keys with one value for each world; the latter have one more axis.
 
     keys: as in `palmfield.session.open_scene.compiled`; plugins: name of the plugin, by instance of the scene
     Raises SceneError for a number of values that is not that of worlds, a wrong shape, and a key that cannot differ.

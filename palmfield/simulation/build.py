@@ -295,8 +295,8 @@ def _stimulus(
 
 
 def at_any_level(config: StimulusConfig) -> StimulusConfig:
-    """Return a key that is equal for stimuli that differ only in level. If the duty is modulated, which changes the
-    waveform of the ARP, return the stimulus itself."""
+    """Return a key that is equal for stimuli that differ only in level. If the duty is modulated, return the stimulus
+    itself, because the level then changes the waveform of the ARP."""
     if config.am_quantity == "duty":
         return config
     by_pressure = config.arp_peak_Pa is not None

@@ -45,9 +45,10 @@ def build_worlds(
     scene: spec of MuJoCo's model, which differs only in such keys; the first of specs by default.
     shared: the data shared with other worlds; without it, the demands of these worlds.
     The layers are made for the strictest demand of the worlds with sound. With equal demands, each world has the same
-    layer as when simulated alone. A skin gets reduced models if every world with sound would have one, at most
-    MOST_SMALL_MODELS different ones; loads that differ only in level share one. Otherwise one stepper is used for all:
-    modes or whole layer. Raises SceneError or DeviceError as `palmfield.simulation.build.build`.
+    layer as when simulated alone. A skin gets reduced models if every world with sound would have a reduced model and
+    there are at most MOST_SMALL_MODELS different ones. Loads that differ only in level share a model. Otherwise one
+    stepper is used for all worlds: modes or the whole layer. Raises SceneError or DeviceError as
+    `palmfield.simulation.build.build`.
     """
     first = model_of(scene or specs[0])
     carriers = [first.bodies[skin.body] for skin in first.skins]

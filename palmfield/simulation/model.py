@@ -142,7 +142,7 @@ class BodyModel:
 
     @locked_cached_property
     def sample_bones(self) -> Int:
-        """Return the bone that each sample pushes, which has the largest weight in it, shape (n,)."""
+        """Return the bone that each sample pushes, shape (n,): the bone with the largest weight in the sample."""
         weights = np.asarray(self.sampled.weights)[self.sampled.surface.faces].mean(axis=1)
         largest: Int = np.argmax(np.round(weights, 9), axis=1).astype(np.int32)
         return largest

@@ -329,8 +329,8 @@ def _stimuli(
 def am_table_of(config: StimulusConfig, element: str) -> "AmTable | None":
     """Return the waveform in the file of key am_file; None without a file.
 
-    Raises SceneError, with element and key, as `palmfield.stimulus.am_file.read_am_table`, for a periodic waveform
-    without a frequency, and for a waveform over time with one.
+    Raises SceneError, with element and key, for errors of `palmfield.stimulus.am_file.read_am_table`, for a periodic
+    waveform without a frequency, and for a waveform over time with a frequency.
     """
     if config.modulation != "am" or config.am_file is None:
         return None

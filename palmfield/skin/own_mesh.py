@@ -63,7 +63,8 @@ class OwnMesh(ExplicitLayer, Protocol):
         ...
 
     def error(self, device: str) -> float:
-        """Return the error that `palmfield.skin.solve` states for this mesh under the trial load, with omissions."""
+        """Return the error that `palmfield.skin.solve` states for this mesh under the trial load, including
+        omissions."""
         ...
 
     def stepper(self, device: str) -> "OwnMeshStepper":

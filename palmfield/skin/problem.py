@@ -46,7 +46,7 @@ class Slab:
         or a Foundation.
     side: "fixed" (no motion), "free" (no traction), "roller" (no normal motion, no shear traction) or "absorbing";
         none where the shape is infinite.
-    Raises SceneError for other values, missing sizes, and ones below LEAST_M or beyond THICKEST_M and WIDEST_M.
+    Raises SceneError for other values, missing sizes, and sizes below LEAST_M or above THICKEST_M and WIDEST_M.
     """
 
     sheets: tuple[Sheet, ...]
@@ -135,13 +135,13 @@ Body = Slab | Layer
 class Spot:
     """A round Gaussian spot of pressure a(t) exp(-4 ln 2 |x - c(t)|^2 / fwhm^2), x and c in the plane z = 0.
 
-    On a layer the distance is that of the places below in x and y, so its face should look along z, up or down.
+    On a layer the distance is measured in x and y, so the normal of its face should be along z, up or down.
 
     fwhm_m: full width at half maximum [m].
     times_s: [s], rising, shape (f,); before the first the load is 0, after the last it stays.
     peak_Pa: a at these times, shape (f,). centre_m: c, shape (f, 2) or, at rest, (2,).
     law: a and c between these times: "linear", or "held" at the value of the earlier one.
-    A static load is one time, 0, with law "held", for use with `static`.
+    A static load, for use with `static`, has one time, 0, and law "held".
     Raises SceneError for other shapes, times that do not rise, and numbers that are not finite.
     """
 

@@ -95,7 +95,7 @@ def layer_sizes(
     sheets: sheets of the layer, thicknesses as shares. resizing: factor of all element sizes. rows: rows of elements
     in depth, by
         default the number for these sizes.
-    Raises SceneError for a step_s that doesn't divide the timestep, and for a timestep that is not finite.
+    Raises SceneError for a step_s that does not divide the timestep, and for a timestep that is not finite.
     """
     needs = slowest(sheets, max_frequency_Hz), spot_fwhm_m, max_frequency_Hz
     *_, step, radius = choose_sizes(*needs, config.accuracy)

@@ -100,8 +100,8 @@ class SkinStepper(Protocol):
     name: the solver. step_s: length of a substep [s]. state_size: numbers of a state, all 0 at rest.
     unknowns: unknowns of the mesh that it moves.
     points: numbers of the quadrature points of the layer at which it takes pressure, shape (p,), None for all of them.
-    error: relative error of the displacement that the stepper itself adds, by its own estimate; 0 where it adds none.
-        With its own mesh it includes that of the mesh, and the estimate may take as long as a short run.
+    error: relative error of the displacement that the stepper itself adds, by its own estimate; 0 if it adds none. If
+    the stepper has its own mesh, the error of this mesh is included, and the estimate may take as long as a short run.
     any_pose: whether it is valid after body, arrays or focus have moved. any_course: whether it is valid for any
         time course of the load, also if it starts from rest while sound is on.
     of_class: whether it is valid only for a class of loads.
@@ -143,9 +143,9 @@ class SkinStepper(Protocol):
         ...
 
     def coordinates(self, reader: Reader) -> tuple[Reader, Float] | None:
-        """Return a reader of r numbers, fewer than m, and the matrix (r, m) that gives from these what `reader` reads.
-
-        For `step`, so that the product is computed for many steps together. None for steppers without coordinates.
+        """Return a reader of r numbers, fewer than m, and the matrix (r, m) that converts them to the readings of
+        `reader`. With this reader, `step` leaves the product to be computed for many steps together. None for steppers
+        without coordinates.
         """
         return None
 
@@ -218,8 +218,8 @@ class DeviceModel(Protocol):
         ...
 
     def outside(self, sums: Sequence[Any]) -> Outside | None:
-        """The part of the load outside the class of the stepper, from the sums of squares of the launches, if it has
-        one; sums: SECTIONS numbers, or arrays of one for each world."""
+        """Return the part of the load outside the class of the stepper, if it has a class, from the sums of squares of
+        the launches; sums: SECTIONS numbers, or arrays of one for each world."""
         ...
 
 

@@ -140,8 +140,8 @@ def page(seed: int, rows: list[dict[str, Any]], out: Path) -> str:
         f"{np.median(ratios):.2f}.**",
         "",
         "It cannot be predicted how often a solver must refine to reach the target accuracy (up to four solutions; a "
-        "likely second one is in the prediction). Most errors are of wedges and reduced models under a fixed edge "
-        "and on thin sheets, and of the search for a bulk modulus on layers (up to 1 s).",
+        "likely second one is in the prediction). Most errors concern wedges and reduced models under a fixed edge "
+        "and on thin sheets, and the search for a bulk modulus on layers (up to 1 s).",
         "",
         "| solver | cases | within 2 | within 3 | median measured / predicted |",
         "|---|---|---|---|---|",

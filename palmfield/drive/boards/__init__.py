@@ -69,7 +69,7 @@ def board_of(
 
     calibrated: whether the transducers of an array were measured, so that a driver can correct them
     address: place of each transducer in the byte order of the board, shape (transducers,); None for that of the layout
-    Raises DeviceError if it cannot drive so many, and for a key that it does not have.
+    Raises DeviceError if the board cannot drive so many transducers, and for a key that the board does not have.
     """
     board = board_named(driver.board)
     shared = {"duty_exponent": driver.duty_exponent} if "duty_exponent" in board.keys else {}

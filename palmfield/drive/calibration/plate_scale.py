@@ -50,15 +50,15 @@ def fit_plate(
 
     F(t) = on p0^2 f(h) (1 + a cos 2kh + b sin 2kh) + draught(h) + drift t: f is the force of the law for p0 = 1 on the
     plate at distance h, a and b the fringes due to sound between plate and array, half a wavelength long, and draught
-    the reading at a distance with the array off. Solved by linear least squares in p0^2, p0^2 a, p0^2 b, draughts and
-    drift.
+    the reading at a distance with the array off. The equation is solved by linear least squares in p0^2, p0^2 a, p0^2
+    b, draughts and drift.
 
     array: array with calibrated gains; drive: complex amplitudes, shape (n,), of transducers as wired
     size_m: size of the plate, which is centred on the axis of the array and lies across it
     distances_m, times_s, on, forces_N: values of each reading, shape (k,); on is 1 while the array sounds, else 0
     level: its pressure relative to full drive
-    Raises PalmfieldError for fewer than 4 distances or ones beyond half a wavelength of the others, readings of one
-    kind only at some distance, numbers that are not finite, and a plate without force.
+    Raises PalmfieldError for fewer than 4 distances, distances spread over much more than half a wavelength, a distance
+    without readings both with and without sound, numbers that are not finite, and a plate without force.
     """
     h, t, sounding, force = (np.asarray(values, float) for values in (distances_m, times_s, on, forces_N))
     _check(h, t, sounding, force, size_m)

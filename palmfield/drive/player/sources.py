@@ -101,7 +101,7 @@ def on_the_line(schedule: Schedule, byte_s: float, free_s: float) -> Iterator[Ne
 class LiveSource:
     """The newest live frame; old ones fade out. Between silence and full there is a ramp.
 
-    Frames with a due time wait for it, and of several due ones the newest is sent.
+    Frames with a due time wait for it, and of several due frames the newest is sent.
 
     reason: reason why it is silent, or ""; muted: whether the caller has muted it
     """

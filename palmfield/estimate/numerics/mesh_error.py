@@ -51,7 +51,8 @@ class Meshes(NamedTuple):
 def meshes_to_compare(layer: SceneLayer, finer: bool) -> Meshes:
     """Return the meshes for the error of a layer by a finer or a coarser mesh. Raises SceneError as SceneLayer does.
 
-    A coarser mesh has as many rows in depth; the error of these rows is estimated from it and another coarse mesh.
+    A coarser mesh has as many rows in depth. The error of these rows is estimated from this mesh and another coarse
+    mesh.
     """
     if finer:
         few = layer.system.ndof < FEW

@@ -157,7 +157,7 @@ def loudest_load(
         try:
             amplitudes = drive.unit_drive(centre).amplitudes
         except SceneError:
-            continue  # an array that doesn't face this skin
+            continue  # an array that does not face this skin
         arp = radiation.on(reference, skin, "load", amplitudes).arp
         steady = np.ones((1, model.substeps, 1))
         loudest = max(loudest, stepper.outside(SurfaceLoads(arp[None, None], steady, steady)).energy_of_all)

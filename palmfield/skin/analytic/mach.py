@@ -20,7 +20,7 @@ def mach_half_angle(
     along the lines x + |y| / tan b = s. The result is the b with the largest sum of squares over s, by a parabola
     through the three best values. Straight fronts of that slope add up there; round fronts do not. The sum is over x,
     because a sum over the distance between the lines would favour steep lines.
-    Raises SceneError for shapes that don't fit and where skip_m leaves less than three rows on a side.
+    Raises SceneError for shapes that do not fit and where skip_m leaves less than three rows on a side.
     """
     values = np.asarray(normal_velocity, dtype=float)
     if values.shape != (len(x), len(y)) or not np.isfinite(values).all():

@@ -79,9 +79,9 @@ def edge_is_felt(body: Body, load: Load, points: Float) -> bool:
 
 
 def motion_width(body: Body, load: Load) -> float:
-    """Length [m] along the face that elements must resolve: the width of the load. If its pressure reaches the sides,
-    at most the depth, over which the effect of the sides decays, or the distance from the middle to the sides if that
-    is less, and no less than a part of the body."""
+    """Return the length [m] along the face that elements must resolve. It is the width of the load. If pressure reaches
+    the sides, it is at most the depth, over which the effect of the sides decays, and at most the distance from the
+    middle to the sides. It is never less than a certain part of the body."""
     width = load_width(load)
     if pressure_at_sides(body, load) < AT_SIDES:
         return width

@@ -48,8 +48,8 @@ class BlockFactor:
 def block_factor(matrix: Any, order: Int, *, multiplied: bool = True) -> BlockFactor:
     """Factorise a real symmetric positive definite matrix, sparse (n, n), eliminated in this order, shape (n,).
 
-    multiplied: whether a block holds S^-1 of its own part and L_below L_own^-1, so that a solve reads the least data;
-    else L_own^-1 and L_below, with which it is three digits more precise
+    multiplied: whether a block contains S^-1 of its own part and L_below L_own^-1, so that a solution reads the least
+    data; otherwise it contains L_own^-1 and L_below, which makes solutions three digits more precise
     Raises RuntimeError where the matrix is not positive definite.
     """
     lower = lower_triangle(matrix, order)

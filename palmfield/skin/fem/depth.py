@@ -2,7 +2,7 @@
 
 u_x = i a(z) e^{ikx}, u_z = b(z) e^{ikx} make all matrices real and symmetric in (a, b):
 int (K - 2/3 mu) (b' - k a)^2 + 2 mu (k^2 a^2 + b'^2) + mu (a' + k b)^2 - rho w^2 (a^2 + b^2) dz. In the K term a is
-projected on polynomials of one degree less, those of b': the volume then doesn't lock at any degree.
+projected on polynomials of one degree less, those of b': the volume then does not lock at any degree.
 
 Unknowns are the displacement of the top of a sheet and its rise from there down, never the displacement of both ends.
 So a rigid motion of the whole depth gives exactly 0 strain. Between two ends strain is a difference of moduli over

@@ -106,7 +106,8 @@ def _merged(runs: list[Supernode]) -> list[Supernode]:
 
 
 def branches(supernodes: list[Supernode]) -> list[list[int]]:
-    """Divide the supernodes into BRANCHES parts of about equal work and a trunk; return their numbers in order."""
+    """Divide the supernodes into a trunk and BRANCHES parts of about equal work; return the numbers of the supernodes
+    of each, in order."""
     parents = parents_of(supernodes)
     children: list[list[int]] = [[] for _ in supernodes]
     roots = []
@@ -143,7 +144,7 @@ def branches(supernodes: list[Supernode]) -> list[list[int]]:
 
 
 def parents_of(supernodes: list[Supernode]) -> list[int]:
-    """Return for each supernode the one that contains its first row below, -1 if there is none."""
+    """Return for each supernode the supernode that contains its first row below, or -1."""
     node_of = np.repeat(np.arange(len(supernodes)), [node.last - node.first for node in supernodes])
     return [int(node_of[node.rows[0]]) if len(node.rows) else -1 for node in supernodes]
 

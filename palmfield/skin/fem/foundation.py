@@ -148,9 +148,9 @@ def fit_foundation(
 
     fwhm_m: full widths of the Gaussian spots for which it must hold [m]; base: below the lowest sheet.
     frequencies_Hz: where it must hold [Hz], > 0; target: largest misfit allowed.
-    Its misfit at a frequency is the relative error of the complex normal displacement of the surface, the largest over
-    the widths and over PLACES from the centre of a spot. The reference is the same sheets by polynomials of degree 12.
-    Elements above it add their own error.
+    The misfit at a frequency is the relative error of the complex normal displacement of the surface; it is the largest
+    error over the widths and over PLACES from the centre of a spot. The reference is the same sheets by polynomials of
+    degree 12. Elements above it add their own error.
     Raises SceneError for no sheets, a width or frequency not above 0, and where MOST_DEGREE misses.
     """
     widths = np.atleast_1d(np.asarray(fwhm_m, dtype=float))

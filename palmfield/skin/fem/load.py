@@ -20,7 +20,7 @@ class SurfaceQuadrature:
     """Points of the pressure on the skin, and the operator from it to nodal forces.
 
     halvings: how often each triangle is quartered for it. only: numbers of the triangles it covers, by default all.
-    points: positions [m], shape (q, 3); six in each of these (Dunavant, degree 4), triangle by triangle.
+    points: positions [m], shape (q, 3); six in each quartered triangle (Dunavant, degree 4), triangle by triangle.
     normals: unit outward normals, shape (q, 3). weights: areas [m^2], shape (q,), which sum to the surface area.
     operator: csr, shape (n free degrees of freedom, q) [m^2]: force = operator @ inward normal pressure.
     """
@@ -80,9 +80,10 @@ def quartered_rule(halvings: int) -> tuple[Float, Float]:
 def face_points(patch: Patch, halvings: int = 1) -> tuple[Float, Float]:
     """Return the points of a patch and the area of each, for a Traction on it: shapes (q, 3) [m] and (q,) [m2].
 
-    They are the quadrature points of its own triangles, each cut into 4^halvings. On elements that are these triangles,
-    forces at the points are exactly the load. On others the pressure is linear between the points (`traction.sampled`).
-    halvings: how often the triangles will be quartered; wedges do so once or twice.
+    They are the quadrature points of the triangles of the patch, each cut into 4^halvings. If the elements are these
+    triangles, forces at the points are exactly the load. On other elements the pressure is linear between the points
+    (`traction.sampled`).
+    halvings: how often the triangles will be quartered; wedges quarter them once or twice.
     """
     points, weights = quartered_rule(halvings)
     corners = patch.vertices[patch.faces]

@@ -35,7 +35,8 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
     The pressure is that of `field_at`, integrated on a rule about as close as the points lie. Forces at the points
     themselves would be a rough load on elements that are not much larger than the areas of the points. A thin layer
     responds more to a rough load than to a smooth one: a bonded layer of 1 mm round a bone moved up to 200 times too
-    far. Such forces remain for points that are `alone`, and for the points of the rule on a body (`face_points`).
+    far. Forces at the points are used only for points that are `alone`, and for the points of the rule on a body
+    (`face_points`).
     """
     probe = SurfaceProbe(mesh, load.points, system)
     forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
@@ -222,7 +223,8 @@ class PressureHistory:
         """The loads of the substeps between rising times [s], (s + 1,), for a stepper with `operator` as its inputs.
 
         The straight line in each substep has the impulse and first moment of the load. If the load is a straight line
-        over the substep, that is the load; a jump or a bend inside it keeps its effect to second order.
+        over the substep, this line is the load. The effect of a jump or a bend inside a substep is right to second
+        order.
         """
         course = self._weight if self._shape is not None else self.pressure
         ends = [self._ends(course, *step) for step in itertools.pairwise(clock.tolist())]

@@ -233,8 +233,8 @@ def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
 
     depth_m: skin to bone [m]; None is DEPTH_M[site]. The subcutis takes the depth that the others leave.
     Moduli and thicknesses of TISSUES are those of models, known to a factor of 2 and to about a third. The relaxation
-    of single layers is unknown: all relax like the site's preset, by the same share of their own modulus. nu 0.4999 is
-    for the instantaneous modulus.
+    of single layers is unknown, so all layers relax like the preset of the site, by the same share of their modulus. nu
+    0.4999 is for the instantaneous modulus.
     Raises SceneError for another site and a depth that leaves no subcutis.
     """
     if site not in DEPTH_M:
@@ -295,7 +295,8 @@ def _with_value(material: Material, parameter: str, value: float, name: str) -> 
 
 
 def scaled(material: Material, factor: float, name: str) -> Material:
-    """Return the material with all shear moduli times a factor; K stays, since it says how little volume changes."""
+    """Return the material with all shear moduli times a factor. K is unchanged, because it describes the small change
+    of the volume."""
     branches = tuple(Branch(factor * branch.shear_Pa, branch.time_s) for branch in material.branches)
     return replace(
         material,

@@ -225,8 +225,8 @@ def prony(
 
     nu: Poisson's ratio, above -1; 0.5 gives K = INCOMPRESSIBLE times its shear modulus.
     nu_of: the shear modulus to which nu applies: "instant", G_r + sum G_i (the dashpot left out), or "relaxed", G_r.
-        Soft tissue is nearly incompressible at all rates: hence "instant". If the bulk relaxes too, nu is the same at
-        all rates and K, of the relaxed solid, follows from G_r.
+        The default is "instant", because soft tissue is nearly incompressible at all rates. If the bulk relaxes too, nu
+        is the same at all rates, and K of the relaxed solid follows from G_r.
     Raises SceneError as Material and bulk_from_poisson, for unequal numbers of moduli and times, and an unknown nu_of.
     """
     if len(branches_Pa) != len(times_s):

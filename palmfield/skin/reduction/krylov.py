@@ -234,7 +234,7 @@ def grow_until(
     trial: the result of the model of the present size. change: (trial, that of fewer vectors) -> relative difference.
     residual: another estimate, computed when the first is small enough; the larger of the two is returned.
     The error is SAFETY times the change by the last ROUND vectors or more. It is above the tolerance only where the
-    space ended. Raises TooManyVectorsError if most_vectors don't reach the tolerance.
+    space ended. Raises TooManyVectorsError if most_vectors do not reach the tolerance.
     """
     before = trial()
     while True:

@@ -298,7 +298,7 @@ def reduced_stepper(
     second is the error of the steady motion at the frequencies of the load, over the surface: the displacement under
     the residual, computed with the stored factors. Both refer to a smaller or a stiffer body than the true one, so they
     are estimates, not bounds.
-    Raises SceneError if MOST_VECTORS don't reach the tolerance.
+    Raises SceneError if MOST_VECTORS do not reach the tolerance.
     """
     small, vectors, error, any_course = known_model(
         system, cache.digest(load), lambda: load, surface, point, step_s, highest_Hz, tolerance

@@ -36,10 +36,10 @@ def reduce(
     outputs: Y of the outputs y = Y u [m], shape (k, n).
     band_Hz: lowest and highest frequency at which the model must be right, 0 <= low < high.
     tolerance: target relative error of y, on a line s = d + i w over the band. 2 d is the spacing of its `points`, less
-        at low w: sharper resonances have this width. Relative to the largest response at this or a higher frequency, or
-        WEAK times the largest of all.
+    at low w, so sharper resonances are smoothed to this width. The error is relative to the largest response at this or
+    a higher frequency, or to WEAK times the largest response of all.
     order: elimination order of the unknowns, shape (n,), for the factor; None lets SuperLU choose.
-    beyond: grow once more after that, so that the model can be the reference for another model.
+    beyond: whether to grow once more after that, so that the model can be the reference for another model.
     Raises SceneError for shapes that do not fit, a tolerance or band outside these ranges, or no end at most_vectors.
     """
     forces = np.asarray(inputs.toarray() if sparse.issparse(inputs) else inputs, dtype=float)

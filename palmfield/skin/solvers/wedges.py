@@ -204,7 +204,8 @@ def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes
     """Sizes of a mesh for an accuracy, from the width and place of the load, the shear wavelength and the points.
 
     Errors of a disc with these sizes are in estimate.py. The triangles of a layer are quartered at least once, because
-    the coarser mesh of the error estimate is the patch itself or lies between; too fine ones are replaced.
+    the coarser mesh of the error estimate is the patch itself or a mesh in between. Triangles that are too fine are
+    replaced.
     """
     if not 1e-4 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give one in 0.0001 to 0.5")

@@ -30,7 +30,7 @@ class Resolution:
         return -math.log10(self.tolerance)
 
     def pace(self, k: float) -> float:
-        """Rate of change of the load on a wave [1/s]: by amplitude and path; sudden ones count as SUDDEN_1_S."""
+        """Rate of change of the load on a wave [1/s]: by amplitude and path; sudden changes count as SUDDEN_1_S."""
         return min(self.pace_1_s, SUDDEN_1_S) + k * self.speed_m_s
 
     def cut(self, fwhm_m: float) -> float:

@@ -64,7 +64,8 @@ def polar(rule: RadialRule, angles: Int) -> WaveSet:
 
 
 def lattice(size_m: tuple[float, float], k_end: float) -> tuple[Float, Float, Float, Int]:
-    """Plane waves with the periods 2 size_m, up to k_end: vectors, weights, wavenumbers and which each has."""
+    """Plane waves with the periods 2 size_m, up to k_end: vectors, weights, wavenumbers, and the number of the
+    wavenumber of each wave."""
     steps = np.pi / np.asarray(size_m)
     reach = np.ceil(k_end / steps).astype(int)
     m, n = np.meshgrid(np.arange(reach[0] + 1), np.arange(-reach[1], reach[1] + 1), indexing="ij")

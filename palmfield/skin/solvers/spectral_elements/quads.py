@@ -16,8 +16,8 @@ class Quads:
 
     nodes: positions [m], shape (s, 3). drop: vector from the surface to the base below a node [m], shape (s, 3).
     cells: nodes of each quadrilateral, first index along its edge 0-1, second along 0-3, shape (m, n, n), int32.
-    rim: True at boundary nodes of the surface, shape (s,); rim_normals: unit vectors out of the side there, square to
-        the drop, two a node for corners of a box, shape (s, 2, 3), 0 where there is none.
+    rim: True at boundary nodes of the surface, shape (s,); rim_normals: unit outward normals of the side, square to the
+    drop, shape (s, 2, 3); corners of a box have two, and nodes inside have 0.
     """
 
     nodes: Float
