@@ -16,6 +16,7 @@ import secrets
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -95,6 +96,9 @@ def kept(
         lock = filelock.FileLock(path.with_suffix(".lock"), timeout=WAIT_S)
         lock.acquire()
     except (OSError, NotImplementedError, filelock.Timeout) as error:
+        # A folder that is only readable, such as one that several users share
+        if (found := phase("cache")(_read)(path, key)) is not None:
+            return found
         _warn(f"cache folder {where}: {reason_of(error)}; continuing without a cache")
         return work()
     try:
@@ -222,8 +226,9 @@ def _read(path: Path, key: str) -> Arrays | None:
             raise ValueError("the file contains the result of another key")
         if content != digest(answer):
             raise ValueError("its arrays differ from those that were written")
-        os.utime(path)
-    except FileNotFoundError:
+        with suppress(OSError):  # of another user, or on a disk that is only readable
+            os.utime(path)
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except Exception as error:  # NumPy, zipfile and zlib raise nearly any kind on a damaged archive
         _warn(f"cache file {path} is damaged ({reason_of(error)}): its content is recomputed")

@@ -28,6 +28,8 @@ from palmfield.phases import phase
 
 KERNELS = "WARP_CACHE_PATH"
 """Environment variable for the folder of compiled Warp kernels."""
+FULL_BYTES = 2**20
+"""Free space below which a disk is full for a kernel [bytes]."""
 
 
 def _kernels_folder() -> None:
@@ -38,22 +40,25 @@ def _kernels_folder() -> None:
             raise FileNotFoundError("this user has no home folder")
         os.makedirs(usual, exist_ok=True)
         tempfile.TemporaryFile(dir=usual).close()
-        return
     except OSError as error:
-        why = reason_of(error)
+        os.environ[KERNELS] = _temporary_folder(usual, f"is not writable ({reason_of(error)})")
+
+
+def _temporary_folder(usual: str, why: str) -> str:
+    """Return a new folder for the kernels of this process instead of the usual one, and log a warning why."""
     try:
         made = tempfile.mkdtemp(prefix="palmfield-kernels-")
     except OSError as error:
         raise PalmfieldError(
-            f"folder {usual} for compiled kernels is not writable ({why}), and neither is a temporary one: set "
-            f"{KERNELS} to a writable folder"
+            f"folder {usual} for compiled kernels {why}, and no temporary folder can be made: set {KERNELS} to a "
+            "writable folder"
         ) from error
     atexit.register(shutil.rmtree, made, ignore_errors=True)
-    os.environ[KERNELS] = made
     logging.getLogger(__name__).warning(
-        "folder %s for compiled kernels is not writable (%s), so each run compiles them again; set %s to a "
-        "writable folder", usual, why, KERNELS,
+        "folder %s for compiled kernels %s, so each run compiles them again; set %s to a writable folder",
+        usual, why, KERNELS,
     )  # fmt: skip
+    return made
 
 
 def _start() -> None:
@@ -206,6 +211,25 @@ class _Loader:
                     done.set_exception(error)
 
 
+_moving = threading.Lock()
+"""Held while the folder of kernels changes."""
+
+
+def _load(module: wp.Module, device: str, block_dim: int) -> None:
+    """Compile or read a module; if the disk of the kernels is full, in a temporary folder."""
+    usual = str(wp.config.kernel_cache_dir)
+    try:
+        wp.load_module(module, device=device, block_dim=block_dim)
+    except Exception:
+        with _moving:
+            if wp.config.kernel_cache_dir == usual:
+                if shutil.disk_usage(usual).free > FULL_BYTES:
+                    raise
+                wp.config.kernel_cache_dir = os.environ[KERNELS] = _temporary_folder(usual, "is on a full disk")
+        module.mark_modified()  # else Warp repeats the error
+        wp.load_module(module, device=device, block_dim=block_dim)
+
+
 _Load = tuple[_Loader, tuple[Future[None], Callable[[], None]]]
 _loads: dict[Any, dict[tuple[str, int], _Load]] = {}
 _loaders: dict[object, _Loader] = {}
@@ -218,7 +242,7 @@ def _load_of(module: Any, device: str, block_dim: int) -> _Load:
     if key not in loads:
         of = module.options["cpu_compiler_flags"] if device == "cpu" else len(_loads) % 4  # as many for a GPU
         loader = _loaders.get(of) or _loaders.setdefault(of, _Loader())
-        load: _Load = loader, (Future(), functools.partial(wp.load_module, module, device=device, block_dim=key[1]))
+        load: _Load = loader, (Future(), functools.partial(_load, module, device, key[1]))
         if loads.setdefault(key, load) is load:  # another thread may have been quicker
             loader.waiting.append(load[1])
             loader.more.release()

@@ -218,6 +218,40 @@ def test_a_home_that_can_not_be_written_is_done_without_and_said_once(tmp_path):
     assert "compiled kernels is not writable (Not a directory)" in line and "set WARP_CACHE_PATH" in line
 
 
+def only_readable(monkeypatch):
+    """Files can be read, as of another user or on a disk without writing; root may write whatever the mode."""
+
+    def refused(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(cache.filelock.FileLock, "acquire", refused)
+    monkeypatch.setattr(cache.os, "utime", refused)
+
+
+def test_a_folder_that_can_only_be_read_gives_what_it_has_and_says_what_it_has_not(monkeypatch, recwarn):
+    first = Maker()
+    cache.kept("thing", [1], first)
+    only_readable(monkeypatch)
+    np.testing.assert_array_equal(cache.kept("thing", [1], first)["numbers"], first()["numbers"])
+    assert first.asked == 2 and not recwarn.list  # once before, once in this assertion
+    other = Maker()
+    with pytest.warns(RuntimeWarning, match="Read-only file system; continuing without a cache"):
+        cache.kept("thing", [2], other)
+    assert other.asked == 1
+
+
+def test_a_file_of_another_user_is_not_damaged(monkeypatch, recwarn):
+    make = Maker()
+    cache.kept("thing", [1], make)
+
+    def refused(*_, **__):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(cache.os, "utime", refused)
+    cache.kept("thing", [1], make)
+    assert make.asked == 1 and not recwarn.list
+
+
 def test_an_error_of_the_maker_is_its_own_and_keeps_nothing():
     def fails():
         raise PalmfieldError("no")

@@ -1,11 +1,13 @@
 """Compilation of Warp's kernels in threads."""
 
+import errno
 import os
 import subprocess
 import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,6 +30,46 @@ def kernel_of_its_own(name, native="out.data[0] = 3;"):
         write(out)
 
     return kernel
+
+
+@pytest.fixture
+def usual_folder(tmp_path, monkeypatch):
+    """A folder for kernels of this test; the present one is restored."""
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setenv(device.KERNELS, str(tmp_path))
+    return tmp_path
+
+
+def full(monkeypatch, free):
+    """Writing of sources fails, with so much free space [bytes]; returns the folders that were tried."""
+    tried, compile_as_before = [], wp._src.build.build_cpu
+
+    def build(path, *words, **options):
+        tried.append(Path(path))
+        if len(tried) == 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return compile_as_before(path, *words, **options)
+
+    monkeypatch.setattr(wp._src.build, "build_cpu", build)
+    monkeypatch.setattr(device.shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    return tried
+
+
+def test_kernels_on_a_full_disk_are_compiled_elsewhere(usual_folder, monkeypatch, caplog):
+    tried, kernel, out = full(monkeypatch, 0), kernel_of_its_own("full"), wp.zeros(1, dtype=wp.int32, device="cpu")
+    device.run_kernel(kernel, 1, [], [out], device="cpu")
+    assert out.numpy()[0] == 3
+    assert [usual_folder in path.parents for path in tried] == [True, False]
+    assert f"folder {usual_folder} for compiled kernels is on a full disk" in caplog.text
+    assert os.environ[device.KERNELS] == wp.config.kernel_cache_dir != str(usual_folder)
+    assert not list(usual_folder.rglob("*.o"))
+
+
+def test_an_error_with_free_space_is_raised(usual_folder, monkeypatch):
+    tried, kernel = full(monkeypatch, 2 * device.FULL_BYTES), kernel_of_its_own("not full")
+    with pytest.raises(OSError, match="No space left"):
+        device.run_kernel(kernel, 1, [], [wp.zeros(1, dtype=wp.int32, device="cpu")], device="cpu")
+    assert len(tried) == 1 and wp.config.kernel_cache_dir == str(usual_folder)
 
 
 def test_a_module_loaded_ahead_is_compiled_once_and_not_by_the_caller(monkeypatch):

@@ -66,12 +66,15 @@ def usd(
 
     palmfield usd out/palm --from 20 --to 40 --magnify 5000 --field slice --field isosurface --check
     """
+    from palmfield.interrupts import interrupts_delayed
     from palmfield.outputs.pictures.options import parse_options
     from palmfield.outputs.store import open_result
-    from palmfield.outputs.usd.shown import Shown
-    from palmfield.outputs.usd.validation import validate_usd
-    from palmfield.outputs.usd.write import write_usd
     from palmfield.terminal import bars
+
+    with interrupts_delayed():  # OpenUSD would swallow Ctrl-C while it is loaded, and be incomplete
+        from palmfield.outputs.usd.shown import Shown
+        from palmfield.outputs.usd.validation import validate_usd
+        from palmfield.outputs.usd.write import write_usd
 
     if listed:
         _list_quantities(as_json)

@@ -170,6 +170,8 @@ def register(module: type[Module]) -> None:
         return
 
     def size(of: Callable[..., int], otherwise: int, model: int, instance: int, *sensor: int) -> int:
+        if _compiling.sizing is not None and _compiling.sizing[0] == model:
+            return otherwise  # after an error, or Ctrl-C, nothing is built
         try:
             view = ModelView(model, complete=False)
             return of(view.keys(module.config, instance), view, *sensor)

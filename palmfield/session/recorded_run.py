@@ -41,7 +41,9 @@ LOG = logging.getLogger("palmfield.session")
 
 def _drawn_by(module: str, function: str, *args: Any, **more: Any) -> Any:
     """Call a function of `palmfield.outputs`, so that Matplotlib and OpenUSD are loaded after the steps."""
-    return getattr(import_module(f"palmfield.outputs.{module}"), function)(*args, **more)
+    with interrupts_delayed():  # OpenUSD would swallow Ctrl-C while it is loaded, and be incomplete
+        drawing = getattr(import_module(f"palmfield.outputs.{module}"), function)
+    return drawing(*args, **more)
 
 
 def _scene_image(tree: xr.DataTree) -> Any:

@@ -14,7 +14,7 @@ from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_delayed
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
 from palmfield.session.open_scene import Options, Source, compiled
-from palmfield.simulation.build import load_for_sound
+from palmfield.simulation.build import load_for_sound, make_surfaces
 from palmfield.simulation.step import Steps
 from palmfield.types import Complex, Float
 
@@ -74,6 +74,7 @@ class Simulation:
         name, _, data = compiled(scene, **options)
         self._attach(name, OneWorld(data, name), scene, None)
         load_for_sound(self.runtime.model)
+        make_surfaces(self.runtime.model)
         with interrupts_delayed():
             self._scenes.look()
 

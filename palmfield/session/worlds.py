@@ -16,6 +16,7 @@ from palmfield.interrupts import interrupts_delayed
 from palmfield.session.open_scene import Options, Source, compiled, fresh_data, opened
 from palmfield.session.skin import Skin
 from palmfield.session.world_keys import split_keys, world_specs
+from palmfield.simulation.build import make_surfaces
 from palmfield.simulation.build_worlds import Shared, build_worlds
 from palmfield.types import Float, Float32, Int
 
@@ -55,6 +56,7 @@ def open_worlds(
     else:
         model, data = plain, [mujoco.MjData(plain) for _ in range(worlds)]
     scenes = SceneWorlds(first, data, models, led)
+    make_surfaces(models[0])
     with interrupts_delayed():
         scenes.place()
         scenes.look()

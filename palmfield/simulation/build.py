@@ -137,6 +137,15 @@ def load_for_sound(model: HapticModel) -> None:
             load_ahead([arp, *(kernel.module for kernel in kernels)], "cpu")
 
 
+def make_surfaces(model: HapticModel) -> None:
+    """Make the meshes and force samples that the first look at a scene needs, because Ctrl-C waits for its end."""
+    for skin in model.skins:
+        skin.nodes  # noqa: B018
+    for body in model.bodies:
+        if body.surface is not None:
+            body.sample_mesh  # noqa: B018
+
+
 def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
     """Return the board of a scene. SceneError for arrays that it does not drive, DeviceError for unknown keys."""
     check_arrays(BOARDS[spec.driver.board], spec.arrays)

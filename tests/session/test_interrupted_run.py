@@ -1,10 +1,12 @@
 """Runs that are cut off carry what they had computed on the error, with a folder and without."""
 
+import contextlib
 import errno
 import json
 import os
 import signal
 import traceback
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -248,3 +250,19 @@ def test_a_picture_that_fails_leaves_a_whole_result(small_scene, tmp_path, monke
     with store.open_result(tmp_path) as tree:
         assert tree.attrs["complete"] == 1 and len(tree["skin/skin"]["displacement"]) == 31
     assert (tmp_path / "pressure.png").exists() and not (tmp_path / "scene.usdc").exists()
+
+
+def test_ctrl_c_waits_until_a_library_of_pictures_is_loaded(monkeypatch):
+    called = []
+
+    def load(name):
+        # OpenUSD catches the error of Ctrl-C in its modules, and goes on without them
+        with contextlib.suppress(KeyboardInterrupt):
+            ctrl_c()
+            called.append(name)
+        return SimpleNamespace(draw=lambda: called.append("drawn"))
+
+    monkeypatch.setattr(recorded_run, "import_module", load)
+    with pytest.raises(KeyboardInterrupt):
+        recorded_run._drawn_by("pictures", "draw")
+    assert called == ["palmfield.outputs.pictures"]

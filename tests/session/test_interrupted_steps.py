@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,6 +15,10 @@ import pytest
 
 import palmfield
 from palmfield.engine.scene_runtime import SceneRuntime
+from palmfield.interrupts import interrupts_delayed
+from palmfield.simulation import build, model
+
+SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 
 
 @pytest.fixture(autouse=True)
@@ -42,6 +47,40 @@ def numbers(sim):
     found = np.empty(mujoco.mj_stateSize(sim.model, state))
     mujoco.mj_getState(sim.model, sim.data, found, state)
     return np.concatenate((found, sim.data.sensordata))
+
+
+def test_ctrl_c_while_mujoco_asks_for_sizes_builds_nothing_more(small_scene, monkeypatch):
+    begun, plain = [], build.build
+
+    def interrupted(*arguments):
+        begun.append(1)
+        if len(begun) == 1:
+            os.kill(os.getpid(), signal.SIGINT)
+        return plain(*arguments)
+
+    path = small_scene(skin={"thickness_m": 0.0041})  # a model that no test has built
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "build", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            palmfield.Simulation(path)
+    assert len(begun) == 1
+    palmfield.Simulation(path).step()
+
+
+def test_ctrl_c_does_not_wait_for_meshes_and_samples_of_a_scene(monkeypatch):
+    delayed, sample, nodes = [], model.sample_mesh, model.SkinModel.nodes.func
+
+    def noted(made):
+        def make(*arguments):
+            delayed.append(interrupts_delayed._inside)
+            return made(*arguments)
+
+        return make
+
+    monkeypatch.setattr(model, "sample_mesh", noted(sample))
+    monkeypatch.setattr(model.SkinModel.nodes, "func", noted(nodes))
+    palmfield.Simulation(SCENES / "palm_am200.xml", accuracy=0.47)
+    assert delayed == [False, False]
 
 
 @pytest.mark.parametrize("stage", ["push", "sense", "advance"])

@@ -1,0 +1,252 @@
+"""How long Ctrl-C takes to end `palmfield run` and `palmfield prepare`, and what it leaves on the disk.
+
+    python scripts/bench/interrupts.py [--scenes palm_am200 stroke_palm] [--caches empty full] [--moments compile ...]
+
+Each case runs a command in its own process until it begins a phase (`palmfield.phases`), waits a little, and sends
+SIGINT. The table has the time to the end of the process, its exit code, files that cannot be read under their final
+names (results, pictures, USD, entries of the cache, kernels), and whether the partial results can be read. The
+processor time from SIGINT to the end, of all threads, shows which waits are due to other processes. "empty"
+begins without results in the cache, moment `compile` also without kernels; "full" begins with those of a whole run.
+Files with temporary names (*.part, Warp's folders) are not counted: palmfield removes old ones.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.studies.bench.table import processor
+
+ROOT = Path(__file__).resolve().parents[2]
+WRAPPED = """
+import os, sys, threading
+from palmfield import phases
+
+class Marker:
+    def begin(self, name):
+        if threading.current_thread() is threading.main_thread() or name == "scene.png":
+            os.write({fd}, (name + chr(10)).encode())
+    def end(self): pass
+    def count(self, *_): pass
+
+phases.running.append(Marker())
+from palmfield.cli.app import start
+sys.argv[0] = "palmfield"
+start()
+"""
+
+
+class Moment(NamedTuple):
+    """When SIGINT is sent. phase: whose beginning is awaited, "" for that of the process; then `after_s` [s] more.
+
+    words: further arguments of the command; command: of palmfield
+    """
+
+    phase: str
+    after_s: float
+    words: tuple[str, ...] = ()
+    command: str = "run"
+
+
+MODAL = ("--set", "skin.solver=modal")
+MOMENTS = {
+    "start": Moment("", 0.1),
+    "imports": Moment("imports", 0.25),
+    "compile": Moment("kernels", 0.4),
+    "mesh": Moment("patch", 0.05),
+    "force samples": Moment("force samples", 0.2),
+    "matrices": Moment("matrices", 0.1),
+    "factor": Moment("factors", 0.1),
+    "reduced model": Moment("small model", 1.0),
+    "modes, begin": Moment("modes", 2.0, MODAL, "prepare"),
+    "modes, later": Moment("modes", 12.0, MODAL, "prepare"),
+    "steps": Moment("stepping", 0.03),
+    "estimate": Moment("error estimate", 0.2),
+    "result file": Moment("result file", 0.02),
+    "pictures": Moment("plots", 0.15),
+    "rays": Moment("scene.png", 0.3),
+    "USD": Moment("USD", 0.1),
+}
+
+
+class Ended(NamedTuple):
+    """How a case ended. seconds, cpu_s: wall and processor time from SIGINT to the end [s], None if the process ended
+    before the moment"""
+
+    seconds: float | None
+    cpu_s: float | None
+    code: int
+    half: list[str]
+    partial: str
+    said: str
+
+
+def case(scene: str, moment: Moment, caches: Path, folder: Path) -> Ended:
+    """Run a command with the caches in a folder, which it changes, and interrupt it."""
+    out = folder / "out"
+    read, write = os.pipe()
+    words = [moment.command, f"mjcf/scenes/{scene}.xml", *moment.words]
+    words += ["--out", str(out)] if moment.command == "run" else []
+    env = os.environ | {"PALMFIELD_CACHE": str(caches / "results"), "WARP_CACHE_PATH": str(caches / "kernels")}
+    with tempfile.TemporaryFile("w+") as errors:
+        child = subprocess.Popen(
+            [sys.executable, "-c", WRAPPED.format(fd=write), *words],
+            cwd=ROOT, env=env, stdout=subprocess.DEVNULL, stderr=errors, pass_fds=[write],
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )  # fmt: skip
+        os.close(write)
+        with os.fdopen(read) as marks:
+            reached = not moment.phase or any(line.rstrip("\n") == moment.phase for line in marks)
+            seconds, cpu = None, None
+            if reached:
+                time.sleep(moment.after_s)
+                before, began = cpu_of(child.pid), time.perf_counter()
+                if before is not None:
+                    child.send_signal(signal.SIGINT)
+            _, status, used = os.wait4(child.pid, 0)
+            child.returncode = os.waitstatus_to_exitcode(status)
+            if reached and before is not None:
+                seconds, cpu = time.perf_counter() - began, used.ru_utime + used.ru_stime - before
+        errors.seek(0)
+        lines = errors.read().strip().splitlines()
+    half = unreadable(out, caches)
+    return Ended(seconds, cpu, child.returncode, half, partial_of(out), lines[-1] if lines else "")
+
+
+def cpu_of(process: int) -> float | None:
+    """Return the processor time of a running process so far [s], None if it has ended."""
+    state, *numbers = Path(f"/proc/{process}/stat").read_text().rpartition(") ")[2].split()
+    return None if state == "Z" else (int(numbers[10]) + int(numbers[11])) / os.sysconf("SC_CLK_TCK")
+
+
+def unreadable(out: Path, caches: Path) -> list[str]:
+    """Return the files with final names that cannot be read."""
+    readers = {".npz": _npz, ".json": _json, ".png": _png, ".nc": _nc, ".usdc": _usd, ".o": _elf}
+    found = [path for place in (out, caches) if place.is_dir() for path in sorted(place.rglob("*"))]
+    bad = []
+    for path in found:
+        temporary = any(part.endswith(".part") or part.startswith(("p_", ".")) for part in path.parts[-3:])
+        reader = readers.get(path.suffix)
+        if reader is None or temporary or not path.is_file():
+            continue
+        try:
+            reader(path)
+        except Exception as error:
+            bad.append(f"{path.name}: {type(error).__name__}")
+    return bad
+
+
+def _npz(path: Path) -> None:
+    with zipfile.ZipFile(path) as archive:
+        if archive.testzip() is not None:
+            raise ValueError(path)
+
+
+def _json(path: Path) -> None:
+    json.loads(path.read_text())
+
+
+def _png(path: Path) -> None:
+    from matplotlib import image
+
+    image.imread(path)
+
+
+def _nc(path: Path) -> None:
+    from palmfield.outputs.store import open_result
+
+    with open_result(path) as tree:
+        for node in tree.subtree:
+            for variable in node.data_vars.values():
+                np.asarray(variable)
+
+
+def _usd(path: Path) -> None:
+    from pxr import Usd
+
+    stage = Usd.Stage.Open(str(path))
+    if len(list(stage.Traverse())) < 3:
+        raise ValueError(path)
+
+
+def _elf(path: Path) -> None:
+    """Check that an object file is as long as its table of sections says."""
+    data = path.read_bytes()
+    sections, size, count = (int.from_bytes(data[at : at + n], "little") for at, n in ((40, 8), (58, 2), (60, 2)))
+    if data[:4] != b"\x7fELF" or len(data) < sections + size * count:
+        raise ValueError(path)
+
+
+def partial_of(out: Path) -> str:
+    """Say whether the results in a folder can be read, and how many steps they have."""
+    if not out.is_dir():
+        return "no folder"
+    if (out / ".partial").is_dir() and not (out / "result.nc").exists():
+        import palmfield
+
+        palmfield.recover(out)
+    if not (out / "result.nc").exists():
+        return "no result"
+    from palmfield.outputs.store import open_result
+
+    with open_result(out / "result.nc") as tree:
+        kind = "whole" if tree.attrs["complete"] else "partial"
+        return f"{kind}, {len(tree['time'])} times"
+
+
+def filled(scene: str, folder: Path) -> None:
+    """Run a scene once, so that a folder has its results and kernels."""
+    env = os.environ | {"PALMFIELD_CACHE": str(folder / "results"), "WARP_CACHE_PATH": str(folder / "kernels")}
+    words = ["run", f"mjcf/scenes/{scene}.xml", "--out", str(folder / "out")]
+    subprocess.run([sys.executable, "-m", "palmfield", *words], cwd=ROOT, env=env, capture_output=True, check=True)
+    shutil.rmtree(folder / "out")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", nargs="+", default=["palm_am200", "stroke_palm"])
+    parser.add_argument("--caches", nargs="+", default=["empty", "full"], choices=["empty", "full"])
+    parser.add_argument("--moments", nargs="+", default=list(MOMENTS), choices=list(MOMENTS))
+    parser.add_argument("--kept", type=Path, help="folder for full caches that further calls of this script use")
+    options = parser.parse_args()
+    print(f"{processor()}, load {os.getloadavg()[0]:.1f}\n")
+    print("| scene | cache | moment | end [s] | CPU [s] | code | unreadable files | results | last line |")
+    print("|---|---|---|---|---|---|---|---|---|", flush=True)
+    with tempfile.TemporaryDirectory() as made:
+        for scene in options.scenes:
+            full = (options.kept or Path(made)) / scene
+            if not full.is_dir():
+                filled(scene, full)
+            for cache in options.caches:
+                for name in options.moments:
+                    with tempfile.TemporaryDirectory() as folder:
+                        own = Path(folder) / "caches"
+                        if cache == "full":
+                            shutil.copytree(full, own)
+                        elif name != "compile":
+                            shutil.copytree(full / "kernels", own / "kernels")
+                        end = case(scene, MOMENTS[name], own, Path(folder))
+                    took = "not reached" if end.seconds is None else f"{end.seconds:.2f}"
+                    cells = (
+                        took,
+                        "" if end.cpu_s is None else f"{end.cpu_s:.2f}",
+                        end.code,
+                        "; ".join(end.half) or "none",
+                        end.partial,
+                        end.said[-90:],
+                    )
+                    print(f"| {scene} | {cache} | {name} | " + " | ".join(map(str, cells)) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
