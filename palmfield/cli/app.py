@@ -26,7 +26,7 @@ from palmfield.cli.experiment import experiment
 from palmfield.cli.hand import hand
 from palmfield.cli.info import info
 from palmfield.cli.keys import keys
-from palmfield.cli.messages import LEVELS, complain, show_log
+from palmfield.cli.messages import LEVELS, print_message, show_log
 from palmfield.cli.migrate import migrate
 from palmfield.cli.new import new
 from palmfield.cli.plan import plan
@@ -169,14 +169,14 @@ def main() -> None:
     try:
         app(_anywhere(sys.argv[1:]), standalone_mode=True)
     except PalmfieldError as error:
-        complain(str(error))
+        print_message(str(error))
         sys.exit(2)
     except (KeyboardInterrupt, SystemExit, Exception) as error:
         if isinstance(error, SystemExit) and not _silent(error):
             raise
         if not _from_ctrl_c(error):
             raise
-        complain("interrupted")
+        print_message("interrupted")
         sys.exit(INTERRUPTED_CODE)
 
 

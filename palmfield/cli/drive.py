@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from palmfield.cli.messages import complain
+from palmfield.cli.messages import print_message
 from palmfield.cli.options import BoardName, Keys, check_duration, parsed_keys
 from palmfield.errors import SceneError
 
@@ -140,5 +140,5 @@ def show_performance(done: "Performance") -> None:
     """Print the report of a play. Raises typer.Exit if frames were skipped."""
     print(done)
     if done.warning:
-        complain(f"warning: {done.warning}")
+        print_message(f"warning: {done.warning}")
         raise typer.Exit(UNSENT_CODE)

@@ -37,6 +37,6 @@ def show_log(level: str) -> None:
     logger.propagate = False
 
 
-def complain(text: str) -> None:
+def print_message(text: str) -> None:
     """Print one line on standard error."""
     print(f"palmfield: {' '.join(text.split())}", file=sys.stderr)

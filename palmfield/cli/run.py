@@ -12,7 +12,7 @@ import typer
 
 from palmfield.cli import options
 from palmfield.cli.as_json import print_json
-from palmfield.cli.messages import complain
+from palmfield.cli.messages import print_message
 from palmfield.errors import SceneError
 from palmfield.phases import phase
 from palmfield.threads import cores
@@ -113,10 +113,10 @@ def run(
         )
     except KeyboardInterrupt as error:
         if hasattr(error, "result"):
-            complain(f"interrupted; the partial results are in {out}; `palmfield recover {out}` draws their plots")
+            print_message(f"interrupted; the partial results are in {out}; `palmfield recover {out}` draws their plots")
         else:
             old = f"; {out} contains the results of an earlier run" if out.exists() else ""
-            complain(f"interrupted before the first step{old}")
+            print_message(f"interrupted before the first step{old}")
         raise typer.Exit(130) from None
     if as_json:
         files = {name: str(path) for name, path in result.files.items()}

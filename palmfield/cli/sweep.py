@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from palmfield.cli.messages import complain
+from palmfield.cli.messages import print_message
 from palmfield.cli.options import Accuracy, Device, SceneFile, check_duration
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def sweep(
             ask=typer.confirm if sys.stdin.isatty() else None,
         )  # fmt: skip
     except KeyboardInterrupt:
-        complain(
+        print_message(
             f"interrupted; the finished points are in {out}; repeat the command to continue: "
             f"{shlex.join(['palmfield', *sys.argv[1:]])}"
         )

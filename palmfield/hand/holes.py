@@ -44,11 +44,11 @@ def boundary_loops(faces: Int) -> list[Int]:
     return loops
 
 
-def least_area_faces(points: Float, barred: Collection[Pair] = ()) -> Int:
+def least_area_faces(points: Float, forbidden: Collection[Pair] = ()) -> Int:
     """Return faces over a closed polygon in space with the least area of all triangulations, shape (k - 2, 3).
 
-    points: corners of the polygon in order, shape (k, 3); barred: pairs of corner numbers, the lower first, that must
-    not become edges. The result is empty if the barred pairs allow no triangulation.
+    points: corners of the polygon in order, shape (k, 3); forbidden: pairs of corner numbers, the lower first, that
+    must not become edges. The result is empty if the forbidden pairs allow no triangulation.
     Dynamic programming from short to long spans of the polygon: G. Barequet, M. Sharir, "Filling gaps in the boundary
     of a polyhedron", CAGD 12, 207 (1995). Triangulations of plane polygons (Earcut, GEOS) fail, because the projection
     of a polygon in space may cross itself.
@@ -65,7 +65,7 @@ def least_area_faces(points: Float, barred: Collection[Pair] = ()) -> Int:
         cost[rows, rows + gap], via[rows, rows + gap] = total[rows, best], middle[rows, best]
         for i in rows.tolist():
             # The last span is an edge of the polygon
-            if gap < number - 1 and (i, i + gap) in barred:
+            if gap < number - 1 and (i, i + gap) in forbidden:
                 cost[i, i + gap] = np.inf
     if not np.isfinite(cost[0, number - 1]):
         return np.zeros((0, 3), dtype=np.int32)
@@ -84,21 +84,21 @@ def plane_axes(points: Float) -> Float:
     return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
 
 
-def cap(points: Float, barred: Collection[Pair] = ()) -> tuple[Float, Int] | None:
+def cap(points: Float, forbidden: Collection[Pair] = ()) -> tuple[Float, Int] | None:
     """Return inner points, shape (k, 3), and faces that close a loop of n points, with edges about as long as its own.
 
-    points: points of the loop in order, shape (n, 3); barred: pairs as for `least_area_faces`
+    points: points of the loop in order, shape (n, 3); forbidden: pairs as for `least_area_faces`
     Faces number the points of the loop 0 ... n - 1 and the inner points from n on. A loop that is smooth along the
     normal of its best plane is filled by a grid in that plane, any other loop by the refined triangulation of least
     area. The result is None if a jagged loop has more than MOST_JAGGED edges or no allowed triangulation.
     """
     flat = _flat_cap(points)
-    if flat is not None and not any((a, b) in barred for a, b in unique_edges(flat[1])[0].tolist()):
+    if flat is not None and not any((a, b) in forbidden for a, b in unique_edges(flat[1])[0].tolist()):
         return flat
     if len(points) > MOST_JAGGED:
         return None
-    coarse = least_area_faces(points, barred)
-    return _finer(points, coarse, barred) if len(coarse) else None
+    coarse = least_area_faces(points, forbidden)
+    return _finer(points, coarse, forbidden) if len(coarse) else None
 
 
 def _flat_cap(points: Float) -> tuple[Float, Int] | None:
@@ -121,10 +121,10 @@ def _flat_cap(points: Float) -> tuple[Float, Int] | None:
     return _spanned(points, len(inner), edges), triangles
 
 
-def _finer(points: Float, faces: Int, barred: Collection[Pair]) -> tuple[Float, Int]:
+def _finer(points: Float, faces: Int, forbidden: Collection[Pair]) -> tuple[Float, Int]:
     """Refine a triangulation to the mean edge length of its loop, and fit the new points to the loop."""
     step = float(np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).mean())
-    patch = _Patch(points, faces, barred)
+    patch = _Patch(points, faces, forbidden)
     for _ in range(ROUNDS):
         patch.flip()
         patch.cut(LONGEST_SHARE * step)
@@ -135,8 +135,8 @@ def _finer(points: Float, faces: Int, barred: Collection[Pair]) -> tuple[Float, 
 class _Patch:
     """Faces over a loop while their inner edges are cut and flipped; `across[a, b]` is the third corner of face a-b."""
 
-    def __init__(self, loop: Float, faces: Int, barred: Collection[Pair]) -> None:
-        self.points, self.border, self.barred = loop, len(loop), barred
+    def __init__(self, loop: Float, faces: Int, forbidden: Collection[Pair]) -> None:
+        self.points, self.border, self.forbidden = loop, len(loop), forbidden
         self.across = {(f[i], f[(i + 1) % 3]): f[(i + 2) % 3] for f in faces.tolist() for i in range(3)}
 
     def faces(self) -> Int:
@@ -173,8 +173,8 @@ class _Patch:
                 if (a, b) not in self.across or (b, a) not in self.across:
                     continue
                 c, d = self.across[a, b], self.across[b, a]
-                barred = (min(c, d), max(c, d)) in self.barred or (c, d) in self.across or (d, c) in self.across
-                if not barred and self._angle(c, a, b) + self._angle(d, a, b) > np.pi + 1e-6:
+                forbidden = (min(c, d), max(c, d)) in self.forbidden or (c, d) in self.across or (d, c) in self.across
+                if not forbidden and self._angle(c, a, b) + self._angle(d, a, b) > np.pi + 1e-6:
                     self._replace(((a, b, c), (b, a, d)), ((a, d, c), (d, b, c)))
                     turned = True
             if not turned:

@@ -157,8 +157,8 @@ def upright_cosine(vertices: Float, faces: Int, inward: Float) -> Float:
 def percentile(values: Float, weights: Float, percent: float) -> float:
     """Return the weighted percentile: the smallest value with at least `percent` of the weight at or below it."""
     order = np.argsort(values)
-    heaped = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(heaped, 0.01 * percent * heaped[-1])])
+    cumulative = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(cumulative, 0.01 * percent * cumulative[-1])])
 
 
 def _report(patch: Patch, requested: Float, limit: Float, quality: Float, integral: float) -> dict[str, float]:

@@ -95,8 +95,8 @@ def delays(measured: Float, computed: Float, step: float, most_s: float) -> tupl
     delay = (lags[inner] + np.clip(part, -0.5, 0.5)) * step
     peaks = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:]) & (np.sign(correlation[1:-1]) == np.sign(
         correlation[inner, rows]))  # fmt: skip
-    rivals = np.where(peaks & (np.abs(np.arange(1, len(lags) - 1)[:, None] - inner) > 1), size[1:-1], 0.0)
-    return delay, np.asarray(rivals.max(axis=0, initial=0.0) > AMBIGUOUS * top)
+    others = np.where(peaks & (np.abs(np.arange(1, len(lags) - 1)[:, None] - inner) > 1), size[1:-1], 0.0)
+    return delay, np.asarray(others.max(axis=0, initial=0.0) > AMBIGUOUS * top)
 
 
 def shifted(record: Float, step: float, delay_s: Float) -> Float:

@@ -85,8 +85,8 @@ def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
     """
     name = chosen_observer(skin)
     if name is None:
-        whys = [str(skin[f"level_{one}_why"]) for one in ALL_OBSERVERS if f"level_{one}_why" in skin]
-        reason = whys[-1].partition(": ")[2] if whys else "the run was interrupted before levels were computed"
+        reasons = [str(skin[f"level_{one}_why"]) for one in ALL_OBSERVERS if f"level_{one}_why" in skin]
+        reason = reasons[-1].partition(": ")[2] if reasons else "the run was interrupted before levels were computed"
         return {"felt": "not known", "because": reason}
     level, lines = shown_level(skin, name)
     assert level is not None

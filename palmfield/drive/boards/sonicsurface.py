@@ -72,15 +72,15 @@ class BufferedTwin(Twin):
         self._front, self._back = (np.full(EMITTERS, first, dtype=np.uint8) for _ in range(2))
 
     @abstractmethod
-    def obey(self, command: int) -> bool | None:
-        """Obey a command that is neither start nor swap. Returns whether the emission changes; None for data."""
+    def execute(self, command: int) -> bool | None:
+        """Execute a command that is neither start nor swap. Returns whether the emission changes; None for data."""
 
     def take(self, data: bytes) -> list[Emitted]:
         changes = []
         for match in self._pieces.finditer(data):
             piece = match[0]
             self.time_s += len(piece) * self.byte_s
-            changed = piece[0] == SWAP or self.obey(piece[0])
+            changed = piece[0] == SWAP or self.execute(piece[0])
             if piece[0] == SWAP:
                 self._front, self._back, self._counter = self._back, self._front, 0
             elif changed is None and piece[0] == START:
@@ -124,7 +124,7 @@ class SonicSurfaceTwin(BufferedTwin):
         wave = np.exp(2j * np.pi * (self._front + self.lag) / STEPS)
         return np.where(self._front == OFF, 0.0, wave)
 
-    def obey(self, command: int) -> bool | None:
+    def execute(self, command: int) -> bool | None:
         """Obey a command; data and starts for the other board of a pair change nothing."""
         if command in (STOP_CLOCKS, START_CLOCKS):
             return self._clock(command == START_CLOCKS)

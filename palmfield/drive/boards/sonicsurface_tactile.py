@@ -79,7 +79,7 @@ class TactileTwin(BufferedTwin):
         wave = LEVEL * np.exp(2j * np.pi * (self._front // 2) / STEPS)
         return np.where(self._front == OFF, 0.0, wave)
 
-    def obey(self, command: int) -> bool | None:
+    def execute(self, command: int) -> bool | None:
         if RATE <= command < RATE + RATES:
             self.envelope_Hz = envelope_Hz(command - RATE)
             return False

@@ -80,12 +80,12 @@ def fit_pose(
     noise = math.sqrt(float(rest @ rest) / max(len(rest) - len(fit.x) - 1, 1))
     errors = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))) * max(noise, 1e-9)
     # The distance of a focus changes by the relative error of the speed of sound
-    warmth = sound_speed_sd(air, temperature_sd_K) / sound_speed(air) * np.abs(foci).mean(axis=0)
+    air_sd_m = sound_speed_sd(air, temperature_sd_K) / sound_speed(air) * np.abs(foci).mean(axis=0)
     turns = fit.x[3:] * TURN_SD_RAD if turning else np.zeros(3)
     turn_errors = errors[3:] * TURN_SD_RAD if turning else np.zeros(3)
     return Pose(
         offset_m=tuple((fit.x[:3] * OFFSET_SD_M).tolist()),
-        offset_sd_m=tuple(np.hypot(errors[:3] * OFFSET_SD_M, warmth).tolist()),
+        offset_sd_m=tuple(np.hypot(errors[:3] * OFFSET_SD_M, air_sd_m).tolist()),
         turn_rad=tuple(turns.tolist()),
         turn_sd_rad=tuple(turn_errors.tolist()),
     )

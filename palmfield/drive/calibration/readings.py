@@ -93,14 +93,14 @@ def put_elements(
     spread = math.hypot(1.96 * fit.p0_sd_Pa_m / fit.p0_Pa_m, under.microphone_error)
     p0 = _estimate(fit.p0_Pa_m, spread, under.source)
     dead = np.flatnonzero(~np.array(elements.enabled)).tolist()
-    strange: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     if fit.swapped:
-        strange += (
+        notes += (
             f"wires: transducers {_few(fit.swapped)} have exchanged signals; their addresses are stored, and the "
             "board is driven accordingly",
         )
     if fit.unfit:
-        strange += (
+        notes += (
             f"signals {_few(fit.unfit)} are loud but fit no position; they are switched off: check their readings "
             "and wires, and measure again",
         )
@@ -109,7 +109,7 @@ def put_elements(
     report = (
         f"transducers: {len(array) - len(dead)} of {len(array)} emit, {turned} with reversed polarity"
         + (f"; off: {_few(dead)}" if dead else ""),
-        *strange,
+        *notes,
         f"phases: {_degrees(np.std(np.array(elements.phase_rad)[alive]))} deg rms, standard error "
         f"{_degrees(np.median(np.array(phase_sd)[alive]))} deg each",
         f"gains: {100 * np.std(np.array(elements.gain)[alive]):.1f} % rms, standard error "

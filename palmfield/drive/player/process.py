@@ -161,7 +161,7 @@ class Session:
         self.board.send_start()
         self.caller.send(ready=True, priority=self.priority, begin_s=self.board.begin_s)
         while not self.caller.ended:
-            self._obey(self.caller.listen())
+            self._execute(self.caller.listen())
             if self.caller.ended:
                 break
             if self.caller.paused:
@@ -185,7 +185,7 @@ class Session:
             self.caller.listen()
             self._step(source)
 
-    def _obey(self, messages: list[tuple[bytes, bytes]]) -> None:
+    def _execute(self, messages: list[tuple[bytes, bytes]]) -> None:
         for kind, data in messages:
             if kind == END:
                 self.caller.end("asked")
@@ -240,7 +240,7 @@ class Session:
         if self.board.sounding:
             self.board.send_stop()
         while self.caller.paused and not self.caller.ended:
-            self._obey(self.caller.listen())
+            self._execute(self.caller.listen())
             self.caller.wait(now_s() + LOOK_S)
         if self.source is not None:
             self.source.shift(now_s() - began)

@@ -90,7 +90,7 @@ def main(
     if device != "cpu":
         chosen = [(module, method) for module, method in chosen if method.name != own.ALL_CORES]
     rows: list[FieldRow] = []
-    yard: list[tuple[float, float]] = []
+    references: list[tuple[float, float]] = []
     with bars() as progress, threadpool_limits(1):
         task = progress.add_task("field", total=len(RANGES_M) * len(chosen) * (runs + 1))
         for low, high in RANGES_M:
@@ -101,7 +101,7 @@ def main(
 
             measured = [Measured(method, module) for module, method in chosen]
             with tempfile.TemporaryDirectory() as folder:
-                yard += run_range(measured, low, high, points, device, peers, runs, Path(folder), tick)
+                references += run_range(measured, low, high, points, device, peers, runs, Path(folder), tick)
             rows += [row(one, text, problem_of(one.method.model, low, high, points, device)) for one in measured]
     options = {
         "--device": "" if device == "cpu" else device,
@@ -117,8 +117,8 @@ def main(
         commit=commit or git_commit(),
         processor=processor(),
         device=device_name(device),
-        yardstick_s=statistics.median(seconds for seconds, _ in yard),
-        cores=statistics.median(ratio for _, ratio in yard),
+        yardstick_s=statistics.median(seconds for seconds, _ in references),
+        cores=statistics.median(ratio for _, ratio in references),
         runs=runs,
         transducers=len(layout(LAYOUT)),
         points=tuple(int(np.prod(grid(low, high, points)[1])) for low, high in RANGES_M),

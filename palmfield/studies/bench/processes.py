@@ -154,7 +154,7 @@ def measure(
     tick: called after each step with the name of the method; runs + 1 steps a method
     """
     processes: list[tuple[Measured, Process]] = []
-    yard = []
+    references = []
     with ExitStack() as stack:
         for i, one in enumerate(methods):
             process = Process(*places[one.module], one, problems[one.method.model], folder / f"{i}.txt")
@@ -165,7 +165,7 @@ def measure(
                 one.setup_s, one.version = answer["setup_s"], answer["version"]
             tick(one.method.name)
         for _ in range(runs):
-            yard.append((yardstick(), cores()))
+            references.append((yardstick(), cores()))
             for one, process in processes:
                 if not one.missing:
                     answer = process.request("run")
@@ -177,4 +177,4 @@ def measure(
                 path = folder / f"{i}.npy"
                 one.memory_MiB = process.request(f"save {path}")["memory_MiB"]
                 one.result = np.load(path)
-    return yard
+    return references

@@ -131,7 +131,7 @@ def measured(job: Job, sim: Simulation) -> dict[str, Any]:
         raise SceneError(f"{sim.name} is silent in all of its {count} steps; choose a scene with sound")
     yardstick = Yardstick()
     yardstick.ms()
-    yards = [yardstick.ms()]
+    references = [yardstick.ms()]
     times: list[float] = []
     while len(times) < job.steps:
         sim.reset()
@@ -142,7 +142,7 @@ def measured(job: Job, sim: Simulation) -> dict[str, Any]:
             if sounds:
                 times.append(spent)
         raise_errors(data)
-        yards.append(yardstick.ms())
+        references.append(yardstick.ms())
     ended = [sim.skin(name).solver for name in sim.skins]
     each = np.array(times) / model.opt.timestep
     p50, p90, p99 = np.quantile(each, [0.5, 0.9, 0.99]).tolist()
@@ -155,7 +155,7 @@ def measured(job: Job, sim: Simulation) -> dict[str, Any]:
         "silent": count - sum(counted),
         "ms": [p50, p90, p99, float(each.max())],
         "stated": stated(sim),
-        "yardstick_ms": statistics.median(yards),
+        "yardstick_ms": statistics.median(references),
         "predicted_ms": None if prediction is None else prediction / model.opt.timestep,
         "memory_after_MiB": memory_MiB("VmHWM"),
     }

@@ -154,10 +154,10 @@ def batches(
     largest_first = sorted(groups.values(), key=len, reverse=True)
     total = sum(len(group) for group in largest_first)
     size = max(1, min(most, math.ceil(total / (workers * BATCHES_PER_WORKER))))
-    fair = math.ceil(total / workers)
+    even_share = math.ceil(total / workers)
     for group in largest_first:
         # Only a group larger than the share of one worker is split; for other groups the model is made once
-        pieces = max(1, math.ceil(len(group) / fair))
+        pieces = max(1, math.ceil(len(group) / even_share))
         length = math.ceil(len(group) / pieces)
         for start in range(0, len(group), length):
             piece = group[start : start + length]

@@ -35,7 +35,7 @@ class Cloud:
     count: pairs of each site, (s,). neighbour: other particle, (s, k). offset: X_j - X_s [m], (s, k, 3).
     area: a_sj [m^2], (s, k, 3). spring: weight of a pair against the gradient of its site [m], (s, k).
     moment: sum_j spring offset offset^T [m^3], (s, 3, 3).
-    remembers: whether the site and its neighbours are of one material, (s,).
+    has_memory: whether the site and its neighbours are of one material, (s,).
     incoming: s * k + slot of the pairs in which a particle is the neighbour, (n, b). incoming_count: (n,).
     surface: number within the face of each particle, -1 below it, (n,); face_area: outward area vector [m^2] of the
         particles of the face, which come first, (f, 3); columns: columns of the particles.
@@ -55,7 +55,7 @@ class Cloud:
     area: Float
     spring: Float
     moment: Float
-    remembers: Int
+    has_memory: Int
     incoming: Int
     incoming_count: Int
     surface: Int
@@ -123,7 +123,7 @@ def build_cloud(body: Body, spacing_m: float, fewest_cells: int = FEWEST_CELLS) 
         area=_padded(pair_area, row, slot, sites, width),
         spring=_padded(spring, row, slot, sites, width),
         moment=moment,
-        remembers=(~mixed).astype(np.int32),
+        has_memory=(~mixed).astype(np.int32),
         incoming=incoming,
         incoming_count=incoming_count,
         surface=surface,

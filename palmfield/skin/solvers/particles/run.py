@@ -63,7 +63,7 @@ class Particles:
             self._reals(cloud.moment, wp.mat33),
             self._reals(cloud.volume),
             self._ints(cloud.law),
-            self._ints(cloud.remembers),
+            self._ints(cloud.has_memory),
         ]
         self.branches = [self._reals(values) for values in table]
         self.shear = self._reals(np.array([m.shear_relaxed_Pa for m in cloud.materials]))

@@ -64,8 +64,8 @@ def rim_edges(cells: Int) -> tuple[Int, Int]:
     sides = np.concatenate([cells[:, :, 0], cells[:, -1, :], cells[:, ::-1, -1], cells[:, 0, ::-1]])
     ends = np.sort(sides[:, [0, -1]], axis=1)
     _, index, uses = np.unique(ends, axis=0, return_index=True, return_counts=True)
-    lone = np.sort(index[uses == 1])
-    return sides[lone], (lone % len(cells)).astype(np.int32)
+    border = np.sort(index[uses == 1])
+    return sides[border], (border % len(cells)).astype(np.int32)
 
 
 def finish(positions: Float, drops: Float, cells: Int, order: int) -> Quads:
