@@ -269,7 +269,8 @@ is the peak that the call adds. GMRES stops at a residual of 1e-4.
 ## Rigid sphere in a plane wave
 
 The error is the relative L2 difference of the surface pressure from the series. The force is from the wall pressure,
-divided by pi a^2 E. For ka = 1, 3 and pi, the shape of the sphere determines the mesh.
+divided by pi a^2 E. For ka = 1, 3 and pi, the mesh is finer than the wavelength requires, to
+represent the shape of the sphere.
 
 | ka | elements | edges per wavelength | error | force | series | difference | iterations | s | MB |
 |---|---|---|---|---|---|---|---|---|---|

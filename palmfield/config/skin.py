@@ -150,8 +150,8 @@ class SkinConfig(Config):
     force_accuracy: Annotated[float, Field(ge=0.0015, le=0.05)] = Field(
         0.006,
         description="target relative error of the acoustic force and torque on the body, rms over foci on its lit "
-        "side; not for a disc (below 0.004: four samples per face; from 0.004: one per face; from 0.006: 3.6 "
-        "times fewer; from 0.012: 7 times fewer)",
+        "side; not for a disc. Samples: four per face below 0.004, one per face from 0.004 on, 3.6 times "
+        "fewer from 0.006 on, 7 times fewer from 0.012 on",
     )
     max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
         None, description="highest frequency to resolve (default: from the stimulus)"

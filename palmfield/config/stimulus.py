@@ -77,7 +77,8 @@ class StimulusConfig(Config):
 
     arrays: Names = Field(
         (),
-        description="instances of palmfield.array driven by this stimulus (default: all that no other stimulus names)",
+        description="instances of palmfield.array driven by this stimulus (default: all instances that no other "
+        "stimulus names)",
     )
     focus_m: Vector = Field((0.0, 0.0, 0.2), description="position of the focus, or centre of its path, in `frame`")
     frame: str = Field("array", description="`array`, or the name of a site in whose frame focus and path are given")
@@ -159,8 +160,8 @@ class StimulusConfig(Config):
     am_depth: Fraction | None = Field(None, description="modulation depth m: the quantity is proportional to 1 + m w")
     am_normalisation: Literal["peak", "carrier", "mean"] = Field(
         "peak",
-        description="meaning of drive_amplitude at any depth: amplitude at the loudest moment, of the carrier (w "
-        "= 0), or of steady sound with the same mean ARP",
+        description="the sound that has drive_amplitude: the loudest moment (peak), the carrier, where w is 0, or a "
+        "steady sound with the same mean ARP (mean)",
     )
     am_waveform_duty: Annotated[float, Field(gt=0, le=1)] | None = Field(
         None,

@@ -24,7 +24,7 @@ def record(
     """Write the bytes for a board. Frames for which the line has no time are omitted, as in the player.
 
     frames: (time of emission since the start [s], bytes), times ascending; duration_s: time at which the last one ends
-    log: receives each piece with its time on the line; is closed
+    log: receives each piece with its time on the line, and is closed at the end
     Raises OutputError if the file cannot be made or the disk is full: then only its .part exists.
     """
     assert board.line is not None

@@ -280,7 +280,7 @@ CASES = (
         Case(
             "Numbers",
             f"roller disc R 60, h 20 mm under a spot of {mm} mm",
-            f"true {was}, stating 1e-15 to 0.2 %",
+            f"states 1e-15 to 0.2 %, true {was}",
             lambda mm=mm: wide_spot(1e-3 * mm),
         )
         for mm, was in ((60, "2 %"), (100, "24 %"), (200, "more than 100 %"))
@@ -297,7 +297,7 @@ CASES = (
     ),
     Case(
         "Numbers",
-        "a late time in place of a static solution, without damping",
+        "a late time instead of a static solution, on a body without damping",
         "an answer that still oscillates",
         late_time_for_rest,
     ),

@@ -126,7 +126,9 @@ class OutsideClass:
         return math.sqrt(self.sums.plain / self.sums.plain_of_all) if self.sums.plain_of_all > 0.0 else 0.0
 
     def errors(self, added: tuple[float, float | None]) -> tuple[float, float | None]:
-        """Return the added errors of a reduced model (`SkinStepper.adds_error`), including loads outside its class."""
+        """Return the errors that modes add (`SkinStepper.adds_error`), including the effect of loads outside the
+        class.
+        """
         displacement, velocity = added
         quick = SHORT_WAVES * self.pressure_share
         return math.hypot(displacement, self.energy_share), None if velocity is None else math.hypot(velocity, quick)

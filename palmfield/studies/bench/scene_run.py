@@ -44,7 +44,7 @@ class Job:
     """Task of a process.
 
     task: "prepare" makes the first step only; "measure" steps whole runs; "reference" runs the full wedge model once
-    solver: requested for all skins; drawn: whether path, level and pose are drawn after the model is built
+    solver: solver requested for all skins; drawn: whether path, level and pose are drawn after the model is built
     seed: seed of the random draws; steps: least number of steps with sound to measure
     motion: file of the motion of the run, written by "measure" and read by "reference"; "" for none
     """

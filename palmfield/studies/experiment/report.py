@@ -25,7 +25,7 @@ class ConditionReport:
 
     levels: levels in the scale of fits (dB re 1 for ratios); shares: shares of right answers (or yes); trials: their
     numbers
-    fit: None if there is none; why: the reason
+    fit: the fit, or None; why: reason why there is none
     """
 
     name: str

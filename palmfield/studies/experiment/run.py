@@ -51,7 +51,8 @@ def run_experiment(
     """Run or continue an experiment: every trial is in the log before the next begins.
 
     observer: keyboard, simulated or skin; answers: a custom observer that replaces it, logged under the name `observer`
-    port: port of the board; virtual: use a virtual board; neither: no sound, for simulated observers
+    port: port of the board; virtual: whether to use a virtual board; without both there is no sound, which suffices for
+    simulated observers
     board: replaces that of the design or scene, as in `palmfield.load`
     Raises OutputError for an invalid design and a log of another design, SceneError and DeviceError as `drive` does.
     """

@@ -92,7 +92,8 @@ def play_live(
 ) -> LivePlayed:
     """Let a board follow a tracked hand for `duration_s` [s], in real time.
 
-    tracker: its latency and extrapolation; ahead_s None: to the middle of the frame
+    tracker: latency and extrapolation of the tracker; if ahead_s is None, positions are extrapolated to the middle of
+    the frame
     number: number of the followed stimulus; port: port of a board, by default a virtual one
     While the hand is lost frames are silent. Ctrl-C ends it early. Raises SceneError if no hand is seen in time, or a
     hand of the other side; DeviceError for an address or a port that cannot be opened.

@@ -29,8 +29,8 @@ class Tracker:
     rate_Hz: samples per second, 0 for one at each call; latency_s: latency from the moment of a sample to its arrival
     [s]
     noise_m: noise of each coordinate, standard deviation [m]; seed: seed of the noise
-    ahead_s: extrapolation beyond the last sample [s], 0 for none; None: to the middle of the time for which the frame
-        will sound
+    ahead_s: extrapolation beyond the last sample [s], 0 for none; None extrapolates to the middle of the time for which
+    the frame will sound
     """
 
     rate_Hz: float = 90.0

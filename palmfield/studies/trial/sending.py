@@ -72,8 +72,8 @@ Make = Callable[[float, float], MadeFrame]
 
 @dataclass(frozen=True)
 class SentFrame:
-    """A sent frame. number: among the due frames; due_s: when it should sound; made_s: when it was made; begun_s: when
-    its first byte was sent, all in the time of the trial [s]"""
+    """A sent frame. number: number among the due frames; due_s: when it should sound; made_s: when it was made;
+    begun_s: when its first byte was sent, all in the time of the trial [s]"""
 
     number: int
     due_s: float
@@ -86,7 +86,8 @@ class SentFrame:
 class Sent:
     """Result of the sending of a trial.
 
-    frames: those sent; due: number of due frames; emitted: drives with their start times, in the time of the trial [s]
+    frames: the sent frames; due: number of due frames; emitted: drives with their start times, in the time of the trial
+    [s]
     late_s: largest delay of the last byte of a frame on the line [s]; flags: errors reported by a virtual board, in
     words
     interrupted: whether Ctrl-C ended it early; end_s: time of the end [s]
@@ -142,11 +143,11 @@ def send(
     port: port of a board; VIRTUAL: a virtual board in real time; None: a virtual twin that does not wait, so that a
     trial
         is fast and exactly repeatable
-    duration_s: duration of the last frame [s]; log: is closed at the end; on_progress: called with the time of the
-        trial [s]; limits: limits of the sound energy; beyond them the player becomes silent
-    The emission of a real board is computed by its twin from the bytes and their times on the line. Ctrl-C ends it
-    early; the board is off at the end. Raises DeviceError if the port cannot be opened or is lost, and for a port on a
-    system without POSIX.
+    duration_s: duration of the last frame [s]; log: log of the sent frames, which is closed at the end; on_progress:
+        called with the time of the trial [s]; limits: limits of the sound energy; beyond them the player becomes silent
+        The emission of a real board is computed by its twin from the bytes and their times on the line. Ctrl-C ends it
+        early; the board is off at the end. Raises DeviceError if the port cannot be opened or is lost, and for a port
+        on a system without POSIX.
     """
     order = _Order(board, times_s, make, duration_s, on_progress or (lambda time_s: None))
     if board.exact:
