@@ -40,11 +40,13 @@ class PoleStepper:
     """Steps transducers exactly under a linear drive; immutable except for cached weights.
 
     alike: whether one pole serves all transducers: then the emission for one unit drive can be stepped as a number
+    tuned: whether all resonate at the frequency of the drive: weights are real, and a number rounds as in an array
     """
 
     def __init__(self, pole: Pole):
         rates, self._index = np.unique(pole.rate, return_inverse=True)
-        self._rates: Any = rates if rates.imag.any() else rates.real
+        self.tuned = not rates.imag.any()
+        self._rates: Any = rates.real if self.tuned else rates
         self.alike = len(rates) == 1
         self._stored: dict[int, Weights] = {}
 
