@@ -277,14 +277,11 @@ class HostBackend(Backend):
 
     def _probe(self, world: int, skin: int, place: SensorPlace, one: Sounding) -> float:
         """Return the ARP at a sensor [Pa] due to the drive of a world."""
-        posed, radiation = self._posed[world], self.works[world].radiation
-        where = self._sensor_points(posed, skin, place)
-        return float(radiation.at(posed, skin, "probe", *where, one.unit(world)).arp[0])
-
-    def _sensor_points(self, posed: PosedScene, skin: int, place: SensorPlace) -> tuple[Float, Float]:
-        """Return the point of a sensor in a pose [m] and its outward normal, array frame, shapes (1, 3)."""
+        posed = self._posed[world]
         body = posed.bodies[self.models[0].skins[skin].body]
-        return body.moved(place.probe.closest, place.probe.normals, place.binding)
+        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+        radiation = self.works[world].radiation
+        return float(radiation.at(posed, skin, "probe", points, normals, one.unit(world)).arp[0])
 
     # -- its end -------------------------------------------------------------------------------------------------------
 

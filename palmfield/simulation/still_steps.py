@@ -182,9 +182,9 @@ class StillSteps(HostBackend):
 
     def _probed(self, block: Block, skin: int, place: SensorPlace) -> Float32:
         """Return the ARP at a sensor at the beginning of each step [Pa], shape (N,)."""
-        drives = block.course.units[: -1 : self.models[0].substeps]
-        points, normals = self._sensor_points(block.posed, skin, place)
-        return self.works[0].radiation.many_at(block.posed, skin, points, normals, drives)[:, 0]
+        drives, body = block.course.units[: -1 : self.models[0].substeps], self.models[0].skins[skin].body
+        where = block.posed.bodies[body].moved(place.probe.closest, place.probe.normals, place.binding)
+        return self.works[0].radiation.many_at(block.posed, skin, *where, drives)[:, 0]
 
     # -- its end -------------------------------------------------------------------------------------------------------
 
