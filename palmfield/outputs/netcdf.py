@@ -8,7 +8,7 @@ import io
 import json
 import os
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,8 @@ SAMPLE, WORTHWHILE = 32_768, 0.67
 """Values that are compressed on trial, and the share of their size below which a variable is compressed. Fields and
 motion keep about 0.8: their last digits are noise, which takes seconds to pack and to read."""
 COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+NOT_A_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
+"""Title of a scale without values."""
 UNREADABLE = (OSError, ValueError, KeyError, RuntimeError, TypeError)
 
 
@@ -109,78 +111,74 @@ class SpillingFile(io.RawIOBase):
 
 
 class ResultWriter:
-    """Writes groups, static variables, and the parts of record variables in succession."""
+    """Writes groups, static variables, and the parts of record variables in succession.
 
-    def __init__(self, file: h5netcdf.File, lengths: dict[str, int]) -> None:
+    Each group has its own dimensions. h5py writes their scales with the attributes of netCDF-4; h5netcdf takes three
+    times as long.
+    """
+
+    def __init__(self, file: h5py.File, lengths: dict[str, int]) -> None:
         """lengths: number of records along each record dimension"""
         self._file, self._lengths = file, lengths
+        self._groups: dict[str, Any] = {"/": file}
+        self._variables: dict[tuple[str, str], Any] = {}
+        self._scales: dict[tuple[str, str], tuple[Any, int]] = {}
+        file.attrs["_NCProperties"] = np.bytes_(f"version=2,hdf5={h5py.version.hdf5_version},h5py={h5py.__version__}")
         for dim, length in lengths.items():
             if length:
-                file.dimensions[dim] = length
+                self._scale("/", dim, length)
 
     def groups(self, paths: Iterable[str], attributes: Attributes) -> None:
         """Make groups in the order of the schema, with attributes; values that netCDF cannot store become JSON text."""
         for path in ordered([*paths, *attributes]):
             pairs = attributes.get(path, {})
-            self._group(path).attrs.update({name: storable(value) for name, value in pairs.items()})
+            _set_attributes(self._group(path), {name: storable(value) for name, value in pairs.items()})
 
     def labels(self) -> None:
         """Write the names of components, in the root."""
         for name in LABELS:
-            self._label(self._file, name)
-
-    def _label(self, group: Any, name: str) -> None:
-        names, what = LABELS[name]
-        group.dimensions[name] = len(names)
-        made = group.create_variable(name, (name,), h5py.string_dtype())
-        made[...] = np.array(names, dtype=object)
-        made.attrs["long_name"] = what
+            self._scale("/", name, len(LABELS[name][0]))
 
     def put(self, arrays: Checked, start: dict[str, int]) -> None:
         """Write variables; along a record dimension, write the part that begins at `start`."""
         for path, variables in arrays.items():
             schema = variables_of(path)
-            group = self._group(path)
-            for name, array in variables.items():
-                made = group.variables.get(name)
-                made = self._create(group, name, schema[name], array) if made is None else made
-                self._fill(made, record_of(schema[name]), array, start)
+            # Variables that are the coordinates of their dimension come before those that use it
+            for name in sorted(variables, key=lambda name: schema[name].dims != (name,)):
+                self._fill(self._made(path, name, schema[name], variables[name]), schema[name], variables[name], start)
             if path != "/":
-                self._put_times(group, {record_of(schema[name]) for name in variables}, arrays.get("/", {}), start)
+                self._put_times(path, {record_of(schema[name]) for name in variables}, arrays.get("/", {}), start)
 
     def _put_times(
-        self, group: Any, dims: set[str | None], times: dict[str, NDArray[Any]], start: dict[str, int]
+        self, path: str, dims: set[str | None], times: dict[str, NDArray[Any]], start: dict[str, int]
     ) -> None:
         """Write the times of the records of a group, so that it can be opened without the root."""
         for dim in RECORDS:
             if dim in dims and dim in times:
-                made = group.variables.get(dim)
-                made = self._create(group, dim, ROOT[dim], times[dim]) if made is None else made
-                self._fill(made, dim, times[dim], start)
+                self._fill(self._made(path, dim, ROOT[dim], times[dim]), ROOT[dim], times[dim], start)
 
-    def _fill(self, made: Any, dim: str | None, array: NDArray[Any], start: dict[str, int]) -> None:
-        values = _stored(array)
+    def _fill(self, made: Any, variable: Variable, array: NDArray[Any], start: dict[str, int]) -> None:
+        values, dim = _stored(array), record_of(variable)
         if dim is None:
             made[...] = values
         else:
             made[start[dim] : start[dim] + len(values)] = values
 
     def _group(self, path: str) -> Any:
-        if path == "/":
-            return self._file
-        return self._file[path] if path in self._file else self._file.create_group(path)
+        if path not in self._groups:
+            outer, _, name = path.rpartition("/")
+            self._groups[path] = self._group(outer or "/").create_group(name, track_order=True)
+        return self._groups[path]
 
-    def _create(self, group: Any, name: str, variable: Variable, array: NDArray[Any]) -> Any:
-        """array: the first part of the variable"""
-        dim = record_of(variable)
+    def _made(self, path: str, name: str, variable: Variable, array: NDArray[Any]) -> Any:
+        """Return a variable of a group, made if it is new; array: its first part"""
+        if (path, name) not in self._variables:
+            self._variables[path, name] = self._create(path, name, variable, array)
+        return self._variables[path, name]
+
+    def _create(self, path: str, name: str, variable: Variable, array: NDArray[Any]) -> Any:
+        dim, dims = record_of(variable), variable.dims
         shape = array.shape if dim is None else (self._lengths[dim], *array.shape[1:])
-        for own, length in zip(variable.dims, shape, strict=True):
-            if own in group.dimensions:
-                continue
-            if own in LABELS:
-                self._label(group, own)
-            else:
-                group.dimensions[own] = length
         extra: dict[str, Any] = {}
         dtype: Any = np.dtype("int8") if variable.dtype == "bool" else variable.dtype
         if dtype == "str":
@@ -188,13 +186,61 @@ class ResultWriter:
         elif dim is not None and variable.dtype == "float32" and _shrinks(array):
             row = 4 * int(np.prod(shape[1:]))
             extra = COMPRESSION | {"chunks": (min(shape[0], max(1, CHUNK_BYTES // row)), *shape[1:])}
-        made = group.create_variable(name, variable.dims, dtype, **extra)
-        made.attrs.update(variable.attributes)
-        if "vertex" in variable.dims and name != PLACES:
+        if 0 in shape:
+            extra["maxshape"] = tuple(length or None for length in shape)
+        scales = [self._scale(path, *one) for one in zip(dims, shape, strict=True)] if dims != (name,) else []
+        made = self._group(path).create_dataset(name, shape, dtype, track_order=True, **extra)
+        if dims == (name,):
+            self._make_scale(path, name, made, name)
+        for axis, (scale, _) in enumerate(scales):
+            made.dims[axis].attach_scale(scale)
+        if scales:
+            _set_numbers(made, [number for _, number in scales])
+        _set_attributes(made, variable.attributes)
+        if "vertex" in dims and name != PLACES:
             made.attrs["coordinates"] = PLACES
         if variable.dtype == "bool":
             made.attrs["dtype"] = "bool"
         return made
+
+    def _scale(self, path: str, dim: str, length: int) -> tuple[Any, int]:
+        """Return the scale of a dimension of a group and its number; a new one has times, names or no values."""
+        if (path, dim) in self._scales:
+            return self._scales[path, dim]
+        if dim in LABELS:
+            names, what = LABELS[dim]
+            made = self._group(path).create_dataset(
+                dim, data=np.array(names, dtype=object), dtype=h5py.string_dtype(), track_order=True
+            )
+            self._make_scale(path, dim, made, dim)
+            made.attrs["long_name"] = what
+        elif dim in RECORDS:
+            self._made(path, dim, ROOT[dim], np.zeros(0))
+        else:
+            # In netCDF a dimension without length is unlimited
+            limit = {} if length else {"maxshape": (None,)}
+            made = self._group(path).create_dataset(dim, (length,), ">f4", track_order=True, **limit)
+            self._make_scale(path, dim, made, f"{NOT_A_VARIABLE}{length:10}")
+        return self._scales[path, dim]
+
+    def _make_scale(self, path: str, dim: str, dataset: Any, title: str) -> None:
+        number = len(self._scales)
+        self._scales[path, dim] = dataset, number
+        dataset.make_scale(title)
+        _set_numbers(dataset, [number] if title == dim else [], number)
+
+
+def _set_numbers(dataset: Any, dimensions: list[int], own: int | None = None) -> None:
+    """Set the numbers of the dimensions of a variable; own: of a scale"""
+    if dimensions:
+        dataset.attrs["_Netcdf4Coordinates"] = np.array(dimensions, np.int32)
+    dataset.attrs["_Netcdf4Dimid"] = np.int32(dimensions[0] if own is None else own)
+
+
+def _set_attributes(thing: Any, attributes: Mapping[str, Any]) -> None:
+    """Set attributes of a group or variable as netCDF does: a number is an array of one."""
+    for name, value in attributes.items():
+        thing.attrs[name] = value if isinstance(value, str) else np.atleast_1d(value)
 
 
 def image(arrays: Checked, attributes: Attributes) -> bytes:
@@ -250,7 +296,7 @@ def result_file(path: Path, lengths: dict[str, int]) -> Iterator[tuple[ResultWri
     """Yield the writer of a new result file, and the file. Raises OSError afterwards if the disk was full."""
     disk = SpillingFile(path)
     try:
-        with h5netcdf.File(disk, "w") as file:
+        with h5py.File(disk, "w", track_order=True) as file:
             yield ResultWriter(file, lengths), disk
     finally:
         disk.close()
@@ -314,7 +360,7 @@ def _shrinks(values: NDArray[np.float32]) -> bool:
 
 def _without_values(dataset: Any) -> bool:
     """Return whether a netCDF entry is only the length of a dimension, without a variable."""
-    return bytes(dataset.attrs.get("NAME", b"")).startswith(b"This is a netCDF dimension but not a netCDF variable")
+    return bytes(dataset.attrs.get("NAME", b"")).startswith(NOT_A_VARIABLE.encode())
 
 
 def _stored(array: NDArray[Any]) -> NDArray[Any]:

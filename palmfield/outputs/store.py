@@ -53,7 +53,7 @@ FLUSH_SECONDS = 2.0
 SEAL_BYTES = hashlib.sha256().digest_size
 ENGINE: Any = "h5netcdf"
 WHOLE_BYTES = 100_000_000
-"""Size of a new result up to which `finished_result` reads it completely."""
+"""Size of a new result up to which its data are read at once, or remain in memory."""
 
 
 class _Waiting(NamedTuple):
@@ -358,13 +358,15 @@ def _assemble(out: Path, attributes: dict[str, Any], complete: bool) -> Path:
     partial = out / ".partial"
     head, own = _static(partial)
     paths = sorted(partial.glob("chunk_*.nc"))
-    chunks: list[Path] = []
+    chunks: list[tuple[Path, bytes | None]] = []
+    total = 0
     lengths = dict.fromkeys(RECORDS, 0)
     for path in paths:
         content = _sealed(path)
         if content is None:
             continue
-        chunks.append(path)
+        total += len(content)
+        chunks.append((path, content if total <= WHOLE_BYTES else None))
         lengths = {dim: lengths[dim] + length for dim, length in read_lengths(content).items()}
         head = joined([head, read_image(content, records=False)[0]])
     bad = len(paths) - len(chunks) + len(list(partial.glob("chunk_*.nc.tmp")))
@@ -390,19 +392,26 @@ def _assemble(out: Path, attributes: dict[str, Any], complete: bool) -> Path:
 
 
 def _join_chunks(
-    path: Path, head: Checked, attributes: dict[str, dict[str, Any]], chunks: list[Path], lengths: dict[str, int]
+    path: Path,
+    head: Checked,
+    attributes: dict[str, dict[str, Any]],
+    chunks: list[tuple[Path, bytes | None]],
+    lengths: dict[str, int],
 ) -> None:
-    """Write the result: variables without records, then the records of one chunk after the other."""
+    """Write the result: variables without records, then the records of one chunk after the other.
+
+    chunks: files, and their contents, or None if they are to be read
+    """
     with interrupts_delayed() as check_interrupt, result_file(path, lengths) as (writer, disk):
         writer.labels()
         writer.groups(head, attributes)
         writer.put(head, dict.fromkeys(RECORDS, 0))
         start = dict.fromkeys(RECORDS, 0)
-        for chunk in chunks:
+        for chunk, content in chunks:
             if disk.lost is not None:
                 break
             check_interrupt()
-            content = _sealed(chunk)
+            content = content or _sealed(chunk)
             if content is None:
                 raise OutputError(f"{chunk} changed during reading; stop the program that writes there, and try again")
             writer.put(read_image(content, static=False)[0], start)
