@@ -520,8 +520,8 @@ MUTATIONS = (
         "channels in another order",
         "sense",
         "palmfield/simulation/sensors.py",
-        "map(call, CHANNELS.values(),",
-        "map(call, reversed(CHANNELS.values()),",
+        "for name, channel in CHANNELS.items():",
+        "for name, channel in reversed(CHANNELS.items()):",
         "tests/engine/test_plugins.py::test_sensor_reads_force_and_motion",
     ),
     Mutation(
