@@ -41,8 +41,8 @@ class ArrayModule(Module):
         view = view_of(self.world) if drawing.shows("geom", PHASES_GROUP) else None
         if view is None:
             return
-        seen = view.transducers(view.runtime.binding.array_instances.index(self.instance))
-        shown = seen.levels > 0.0
-        radius = seen.radius_m * (LEAST_RADIUS + (1.0 - LEAST_RADIUS) * np.minimum(seen.levels[shown], 1.0))
-        places, colours = seen.places[shown] + ABOVE_m * seen.axes[shown], phase_colours(seen.phases[shown])
-        drawing.discs(places, seen.axes[shown], radius, DISC_m, colours)
+        drawn = view.transducers(view.runtime.binding.array_instances.index(self.instance))
+        shown = drawn.levels > 0.0
+        radius = drawn.radius_m * (LEAST_RADIUS + (1.0 - LEAST_RADIUS) * np.minimum(drawn.levels[shown], 1.0))
+        places, colours = drawn.places[shown] + ABOVE_m * drawn.axes[shown], phase_colours(drawn.phases[shown])
+        drawing.discs(places, drawn.axes[shown], radius, DISC_m, colours)

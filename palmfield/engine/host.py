@@ -133,7 +133,7 @@ def compiling() -> Iterator[None]:
         _compiling.active = False
 
 
-def take_compile_error() -> Exception | KeyboardInterrupt | None:
+def pop_compile_error() -> Exception | KeyboardInterrupt | None:
     """Return the error of constructing a module since the last call in this thread; MuJoCo only quotes it."""
     error, _compiling.error, _compiling.sizing = _compiling.error, None, None
     return error

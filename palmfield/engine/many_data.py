@@ -36,7 +36,7 @@ class ManyData:
         self._times: Float = np.zeros((len(views), 1))
         self._calls: dict[str, list[Callable[[], object]]] = {}
         self._addresses: dict[str, Any] = {}
-        self._taking: dict[str, Callable[[], object]] = {}
+        self._gathering: dict[str, Callable[[], object]] = {}
         self._putting: dict[tuple[Field, bytes], tuple[Float, Callable[[], object]]] = {}
         self._pushing: dict[bytes, tuple[Float, Sequence[Callable[[], object]]]] = {}
 
@@ -50,17 +50,17 @@ class ManyData:
             self._calls[name] = calls
         self._share(calls)
 
-    def take(self, field: Field, offsets: Sequence[int], result: Float) -> None:
+    def gather(self, field: Field, offsets: Sequence[int], result: Float) -> None:
         """Read a field at offsets (n,) into a float64 array, shape (w, n); pass the same array for a field always."""
-        if field not in self._taking:
+        if field not in self._gathering:
             target: Any = wp.array(ptr=result.ctypes.data, dtype=wp.float64, shape=result.shape, strides=result.strides)
             inputs = [self._of(field), whole_numbers(offsets), target]
-            self._taking[field] = recorded(kernels.take, result.shape, inputs, "cpu")
-        self._taking[field]()
+            self._gathering[field] = recorded(kernels.take, result.shape, inputs, "cpu")
+        self._gathering[field]()
 
     def times(self) -> Float:
         """Return the MuJoCo time of each mjData [s], shape (w,); the next call overwrites it."""
-        self.take("time", [0], self._times)
+        self.gather("time", [0], self._times)
         return self._times[:, 0]
 
     def put(self, field: Field, offsets: Sequence[int], values: Float) -> None:

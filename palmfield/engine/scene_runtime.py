@@ -14,7 +14,7 @@ from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
 from palmfield.simulation.backend import Frames, serves
 from palmfield.simulation.build import model_of
-from palmfield.simulation.kept import Bool
+from palmfield.simulation.cached import Bool
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
@@ -40,7 +40,7 @@ class SceneRuntime:
     """Model, state and workspace of one mjData.
 
     outlets: receive the force on the parts of each body.
-    taken: numbers of the MuJoCo sites and bodies whose frames are read, and the rows in which they are stored.
+    frames_read: numbers of the MuJoCo sites and bodies whose frames are read, and the rows in which they are stored.
     skins_rest: whether steps omit skins; bodies still receive the force of the sound.
     gathers: whether steps are only recorded and later computed together, without forces and sensors; see `settle`.
     """
@@ -68,8 +68,8 @@ class SceneRuntime:
         bodies = [number for first in firsts for number in (first.body, *first.bones)]
         obstacles = [number for skin in bound for number in skin.obstacles]
         moving, count = np.array([*bodies, *obstacles], dtype=np.int64), len(sites) + len(bodies) + len(obstacles)
-        self.taken: tuple[tuple[Literal["site", "body"], NDArray[np.int64], slice], ...]
-        self.taken = ("site", sites, slice(0, len(sites))), ("body", moving, slice(len(sites), None))
+        self.frames_read: tuple[tuple[Literal["site", "body"], NDArray[np.int64], slice], ...]
+        self.frames_read = ("site", sites, slice(0, len(sites))), ("body", moving, slice(len(sites), None))
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
         self._reading = self.reading(self._positions, self._matrices)
         self._to_step = Frames(self._positions[None], self._matrices[None], self._posed_in)
@@ -118,7 +118,7 @@ class SceneRuntime:
     def reading(self, positions: Float, matrices: Float) -> list[Callable[[], object]]:
         """Return calls that copy the present world frames into arrays of shapes (frames, 3) and (frames, 9)."""
         calls: list[Callable[[], object]] = []
-        for kind, chosen, rows in self.taken:
+        for kind, chosen, rows in self.frames_read:
             for values, result in zip(self.view.frames[kind], (positions, matrices), strict=True):
                 # Mode "clip", because other modes use a buffer
                 calls.append(partial(values.take, chosen, 0, result[rows], "clip"))

@@ -13,8 +13,8 @@ from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.engine.host import World
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.hand.subdivide import split_long_edges
+from palmfield.simulation.cached import Cached
 from palmfield.simulation.emission import Emission
-from palmfield.simulation.kept import Kept
 from palmfield.simulation.posed_scene import PosedScene, posed_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import factors_at
@@ -49,7 +49,7 @@ class SeenTransducers(NamedTuple):
     radius_m: float
 
 
-class SeenSkin(NamedTuple):
+class ShownSkin(NamedTuple):
     """Mean ARP on a skin over an exposure. vertices [m], normals: shape (v, 3), world; faces: shape (f, 3)
 
     arp: ARP by vertex [Pa], shape (v,); top: the largest since the view began [Pa]
@@ -84,8 +84,8 @@ class SceneView:
         self._positions, self._matrices = np.zeros((runtime.frames, 3)), np.zeros((runtime.frames, 9))
         self._reading = runtime.reading(self._positions, self._matrices)
         self._last: tuple[tuple[float, bytes, bytes], _Moment] | None = None
-        self._kept = Kept()
-        self._seen: dict[int, tuple[int, bytes, SeenSkin]] = {}
+        self._cached = Cached()
+        self._shown: dict[int, tuple[int, bytes, ShownSkin]] = {}
         self._top = 0.0
 
     def transducers(self, array: int) -> SeenTransducers:
@@ -107,15 +107,15 @@ class SceneView:
         sounding = foci[factors_at(self.model.configs[stimulus], times) > 0.0]
         return posed.array_frame.points(sounding.reshape(-1, 3)).reshape(sounding.shape)
 
-    def skin(self, number: int) -> SeenSkin | None:
+    def skin(self, number: int) -> ShownSkin | None:
         """Return ARP on one skin; None in silence, and on a scattering body without a solution from the run."""
         posed, _, _, units = self._now()
         key = b"".join(unit.tobytes() + np.float64(weight).tobytes() for unit, weight in units)
-        cached = self._seen.get(number)
+        cached = self._shown.get(number)
         if cached is not None and cached[:2] == (posed.serial, key):
             return cached[2]._replace(top=self._top)
         part = self.model.skins[number]
-        carry, faces = self._kept.of(("mesh", number), (), split_long_edges, part.nodes[0], part.faces, EDGE_m)
+        carry, faces = self._cached.of(("mesh", number), (), split_long_edges, part.nodes[0], part.faces, EDGE_m)
         nodes, directions = posed.skins[number].nodes
         points, normals = carry @ nodes, carry @ directions
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -127,9 +127,9 @@ class SceneView:
         if arp is None:
             return None
         self._top = max(self._top, float(arp.max()))
-        seen = SeenSkin(*posed.array_frame.surface(points, normals), faces, arp, self._top)
-        self._seen[number] = posed.serial, key, seen
-        return seen
+        shown = ShownSkin(*posed.array_frame.surface(points, normals), faces, arp, self._top)
+        self._shown[number] = posed.serial, key, shown
+        return shown
 
     def _arp(
         self, posed: PosedScene, skin: int, points: Float, normals: Float, units: list[tuple[Complex, float]]
@@ -142,8 +142,8 @@ class SceneView:
             weights = np.array([weight for _, weight in units])
             if kind == "none":
                 drives = np.array([unit for unit, _ in units])
-                given = posed.arrays.field, len(points), self.model.skins[skin].spec.arp_law
-                field = self._kept.of(("field", skin, len(points)), posed.arrays.serial, SurfaceArp, *given)
+                inputs = posed.arrays.field, len(points), self.model.skins[skin].spec.arp_law
+                field = self._cached.of(("field", skin, len(points)), posed.arrays.serial, SurfaceArp, *inputs)
                 sounds = field.evaluate_many(points, normals, drives)
             else:
                 many = [self._radiation.at(posed, skin, "vertices", points, normals, unit).arp for unit, _ in units]

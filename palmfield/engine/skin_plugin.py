@@ -99,18 +99,18 @@ class SkinModule(Module):
         from palmfield.engine.scene_view import FAINT, EXPOSURE_s, arp_colours, view_of
 
         view = view_of(self.world) if drawing.shows("geom", ARP_GROUP) else None
-        seen = None if view is None else view.skin(self.number)
-        if seen is None or seen.arp.max() <= 0.0:
+        skin = None if view is None else view.skin(self.number)
+        if skin is None or skin.arp.max() <= 0.0:
             return
-        loudest = int(np.argmax(seen.arp))
+        loudest = int(np.argmax(skin.arp))
         over = f"mean over {1e3 * EXPOSURE_s:g} ms"
         drawing.label(
-            seen.vertices[loudest] + LABEL_m * seen.normals[loudest],
-            f"ARP {seen.arp[loudest]:.3g} Pa, {over}",
+            skin.vertices[loudest] + LABEL_m * skin.normals[loudest],
+            f"ARP {skin.arp[loudest]:.3g} Pa, {over}",
         )
-        shares = seen.arp[seen.faces].mean(axis=1) / seen.top
+        shares = skin.arp[skin.faces].mean(axis=1) / skin.top
         order = np.argsort(-shares)[: int(np.count_nonzero(shares > FAINT))]
-        drawing.triangles(seen.vertices + LIFT_m * seen.normals, seen.faces[order], arp_colours(shares[order]))
+        drawing.triangles(skin.vertices + LIFT_m * skin.normals, skin.faces[order], arp_colours(shares[order]))
 
     def hand_over(self) -> None:
         """Stop computing forces, sensors and state: the code that steps several worlds together does it."""

@@ -26,14 +26,14 @@ class WorldPoses:
         first = runtimes[0]
         self._model, self._layout = first.model, first.layout
         fields: dict[str, tuple[Field, Field]] = {"body": ("xpos", "xmat"), "site": ("site_xpos", "site_xmat")}
-        self._taking: list[tuple[Field, list[int], Float]] = []
-        for kind, chosen, rows in first.taken:
+        self._fields: list[tuple[Field, list[int], Float]] = []
+        for kind, chosen, rows in first.frames_read:
             for field, result in zip(fields[kind], (positions, matrices), strict=True):
                 own = result[:, rows]
                 width = own.shape[2]
                 offsets = (width * chosen[:, None] + np.arange(width)).ravel().tolist()
                 flat = np.lib.stride_tricks.as_strided(own, (len(own), len(offsets)), (own.strides[0], own.strides[2]))
-                self._taking.append((field, offsets, flat))
+                self._fields.append((field, offsets, flat))
         # Rows of arrays, frames of stimuli and transducers: the pose is new if any of them moves at all
         self._fixed = max([self._layout.frames.stop, *(rows.stop for rows in self._layout.transducers)])
         self._posed: list[PosedScene] = [runtime.work.reference for runtime in runtimes]
@@ -45,13 +45,13 @@ class WorldPoses:
         self._resting: NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self._where: Float = np.zeros((count, self._fixed, 12))
 
-    def take(self, many: ManyData, own: slice) -> None:
+    def read(self, many: ManyData, own: slice) -> None:
         """Read the world frames of some worlds; many: their data."""
-        for field, offsets, result in self._taking:
-            many.take(field, offsets, result[own])
+        for field, offsets, result in self._fields:
+            many.gather(field, offsets, result[own])
 
     def now(self, some: NDArray[np.bool_]) -> dict[int, PosedScene]:
-        """Return the pose of the selected worlds, from the frames that `take` has read. some: shape (worlds,).
+        """Return the pose of the selected worlds, from the frames that `read` has read. some: shape (worlds,).
 
         Raises SceneError, with the number of the world, if a body reaches into an array.
         """

@@ -206,7 +206,7 @@ class SceneWorlds:
         for part in parts:
             own, many = self._parts[part]
             self._each(part, "mj_step1")
-            self._poses.take(many, own)
+            self._poses.read(many, own)
             if part < graphs:
                 self.steps.start(part, self._frames, t0)
         for part in parts:

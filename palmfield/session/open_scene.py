@@ -14,7 +14,7 @@ import numpy as np
 
 from palmfield.config import CONFIGS, Config, allowed, known_keys, unknown_key
 from palmfield.data import folder as data_folder
-from palmfield.engine.host import compiling, take_compile_error, world_of
+from palmfield.engine.host import compiling, pop_compile_error, world_of
 from palmfield.engine.motion_plugin import place
 from palmfield.errors import PalmfieldError, SceneError, did_you_mean
 from palmfield.session.scene_text import Instance, SceneText, read_scene_text, sensors_without_objtype
@@ -57,7 +57,7 @@ def compiled(source: Source, **options: Unpack[Options]) -> tuple[str, mujoco.Mj
     device = options.get("device")
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
         raise SceneError(f"device '{device}' is unknown; allowed: auto, cpu or cuda:N")
-    take_compile_error()
+    pop_compile_error()
     if isinstance(source, mujoco.MjModel):
         if changes_any(options):
             raise SceneError(
@@ -313,7 +313,7 @@ def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) 
 
 def _explained(error: Exception, name: str, text: SceneText | None) -> BaseException:
     """Return the error of a module with its position, or the translated error of MuJoCo."""
-    cause = take_compile_error()
+    cause = pop_compile_error()
     if isinstance(cause, PalmfieldError):
         place = _place(str(cause), name, text)
         if text is not None and " renamed: use " in str(cause):

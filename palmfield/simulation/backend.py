@@ -10,7 +10,7 @@ import numpy as np
 
 from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse
-from palmfield.simulation.kept import Bool, Rows, Serials
+from palmfield.simulation.cached import Bool, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import SensorPlace

@@ -63,10 +63,10 @@ RIM = 0.6
 focus with a separate mesh: half of the spot is still inside."""
 _lock = threading.RLock()
 _models: list[HapticModel] = []
-_kept: "list[tuple[SceneLayer, Lazy[WedgeStepper]]]" = []
+_cached_wholes: "list[tuple[SceneLayer, Lazy[WedgeStepper]]]" = []
 # Models that need the same parts share them while any model uses them: a mesh and its matrices take seconds
 _bodies: WeakValueDictionary[SkinConfig, BodyModel] = WeakValueDictionary()
-_known_layers: WeakValueDictionary[tuple[object, ...], SceneLayer] = WeakValueDictionary()
+_cached_layers: WeakValueDictionary[tuple[object, ...], SceneLayer] = WeakValueDictionary()
 
 
 def model_of(spec: SceneSpec) -> HapticModel:
@@ -88,7 +88,7 @@ def keep_model(spec: SceneSpec, model: HapticModel) -> None:
     """
     with _lock:
         _models[:] = [other for other in _models if other.spec == spec]
-        _kept[:] = [(skin.layer, whole) for skin, whole in zip(model.skins, model.whole, strict=True)]
+        _cached_wholes[:] = [(skin.layer, whole) for skin, whole in zip(model.skins, model.whole, strict=True)]
 
 
 def _but_for_texts(spec: SceneSpec) -> SceneSpec:
@@ -162,7 +162,7 @@ def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
 def whole_of(layer: SceneLayer) -> "Lazy[WedgeStepper]":
     """Return the stepper of a whole layer, stored or new; its matrix is factorised at first use."""
     with _lock:
-        stored = next((whole for other, whole in _kept if other is layer), None)
+        stored = next((whole for other, whole in _cached_wholes if other is layer), None)
         return stored or Lazy(partial(whole_stepper, layer))
 
 
@@ -408,7 +408,7 @@ def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
     """Return the layer of a skin. Equal keys, place and demand on one body share a layer while a model uses it."""
     key = skin.name, skin.config, skin.patch_centre, body, demand
     with _lock:
-        return _known_layers.get(key) or _known_layers.setdefault(
+        return _cached_layers.get(key) or _cached_layers.setdefault(
             key,
             SceneLayer(
                 skin.config, body.surface, body.depth_to_bone_m, np.array(skin.patch_centre), demand,

@@ -65,12 +65,12 @@ def build_worlds(
         for spec, made in (sounding or stimuli).items():
             if loads[spec] not in demands:
                 demands[loads[spec]] = demands_of(spec, made, first.arrays, first.board, carriers)
-        asked = [strictest(of_skin) for of_skin in zip(*demands.values(), strict=True)]
-        same = asked == demands.get(loads[specs[0]])
+        demanded = [strictest(of_skin) for of_skin in zip(*demands.values(), strict=True)]
+        same = demanded == demands.get(loads[specs[0]])
     else:
-        asked = own if shared.demands is None else list(shared.demands)
-        same = asked == own
-    layers = [skin.layer for skin in first.skins] if same else layers_for(first.spec, first.stimuli, asked, carriers)
+        demanded = own if shared.demands is None else list(shared.demands)
+        same = demanded == own
+    layers = [skin.layer for skin in first.skins] if same else layers_for(first.spec, first.stimuli, demanded, carriers)
     skins = _skins(first, layers, sounding, len(set(loads.values()) - {None}), shared is not None and shared.modal)
     whole = first.whole if same else tuple(whole_of(layer) for layer in layers)
     begins: dict[tuple[int, object], Lazy[SkinStepper]] = {}

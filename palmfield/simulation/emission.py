@@ -369,11 +369,11 @@ def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
     roots = np.sqrt(weights[counted])[:, None]
     scaled = roots * course.units[counted]
     powers, shares = np.linalg.eigh(scaled @ scaled.conj().T)
-    kept = powers > NEGLIGIBLE * powers[-1]
-    if not np.logical_or.reduce(kept):
+    strong = powers > NEGLIGIBLE * powers[-1]
+    if not np.logical_or.reduce(strong):
         return SILENCE
-    levels = np.asarray(shares[:, kept] / roots, np.complex128)
-    return MeanDrives(shares.conj().T[kept] @ scaled, levels, weights[counted], next_serial())
+    levels = np.asarray(shares[:, strong] / roots, np.complex128)
+    return MeanDrives(shares.conj().T[strong] @ scaled, levels, weights[counted], next_serial())
 
 
 def _begins(step: _Coming, posed: PosedScene, emitted: Complex, t0: float) -> bool:

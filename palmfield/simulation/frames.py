@@ -8,8 +8,8 @@ from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.transducer_response import commanded_drive
+from palmfield.simulation.cached import Cached
 from palmfield.simulation.emission import Emission, PlacedStimulus
-from palmfield.simulation.kept import Kept
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import frames_at
@@ -34,7 +34,7 @@ class Frames:
         self._configs = [
             config.model_copy(update=UNMODULATED) if model.board.modulates else None for config in model.configs
         ]
-        self._kept = Kept()
+        self._cached = Cached()
 
     def at(self, posed: PosedScene, time_s: float, share: float = 1.0) -> bytes:
         """Return the bytes that make the board emit the drive of the stimuli at a time [s].
@@ -53,11 +53,11 @@ class Frames:
                 level *= drive.level_at(points, where[0])
             self.sounds = level * share > 0.0
             return board.encode_focus(focus, level * share)
-        wanted = share * self._sum(placed, posed, time_s)
-        self.sounds = bool(wanted.any())
-        return board.encode(wanted)
+        target = share * self._sum(placed, posed, time_s)
+        self.sounds = bool(target.any())
+        return board.encode(target)
 
-    def wanted(self, posed: PosedScene, time_s: float) -> Complex:
+    def target(self, posed: PosedScene, time_s: float) -> Complex:
         """Return the commanded drive at a time [s] before the board encodes it, shape (N,).
 
         Relative to full drive, e^{-iwt}, with all compensations for the board. Errors as `at`.
@@ -66,9 +66,9 @@ class Frames:
         return self._sum(self.emission.placed(posed, time_s), posed, time_s)
 
     def _sum(self, placed: list[PlacedStimulus], posed: PosedScene, time_s: float) -> Complex:
-        wanted: Complex = np.zeros(len(posed.arrays), np.complex128)
+        target: Complex = np.zeros(len(posed.arrays), np.complex128)
         for number, (part, drive, points) in enumerate(placed):
-            given = posed.arrays, drive.chosen, part.config.arp_peak_Pa, part.config.drive_amplitude, self._exact
-            own = self._kept.of(number, posed.arrays.serial, ArrayDrive, *given)
-            wanted += commanded_drive(self._configs[number] or part.config, own, None, np.array([time_s]), points)[0]
-        return wanted
+            inputs = posed.arrays, drive.chosen, part.config.arp_peak_Pa, part.config.drive_amplitude, self._exact
+            own = self._cached.of(number, posed.arrays.serial, ArrayDrive, *inputs)
+            target += commanded_drive(self._configs[number] or part.config, own, None, np.array([time_s]), points)[0]
+        return target

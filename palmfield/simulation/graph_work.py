@@ -80,7 +80,7 @@ class GraphOf(NamedTuple):
     skins: steppers by skin number. drives: makes the drives of a path, None if drives are the input.
     room_for: total number of worlds for which the device must have memory, including other graphs.
     free: whether frames come from MuJoCo and all worlds step in the same way. Then pressure is computed only at points
-        of steppers, and constant data are not copied again. kept: whether the state stays on the device between steps.
+        of steppers, and constant data are not copied again. resident: whether the state stays on the device.
     """
 
     worlds: int
@@ -89,7 +89,7 @@ class GraphOf(NamedTuple):
     drives: PathDrives | None
     room_for: int
     free: bool = False
-    kept: bool = False
+    resident: bool = False
 
 
 class GraphWork:
@@ -155,11 +155,11 @@ class GraphWork:
         self._active = SharedArray((worlds, 1), wp.int32, device)
         for number, one in of.skins.items():
             self._skins[number] = self._stepping(number, one)
-        if of.kept:
+        if of.resident:
             begun, end = (_numbers(arrays[f"path_{name}"]) for name in ("begun", "end"))
             self._taking.append(launch(kernels.take_over, begun.shape, [self._active.array, end, begun], device))
         self._replays: dict[tuple[bool, bool, tuple[int, ...]], Callable[[], object]] = {}
-        self._taken: Callable[[], object] | None = None
+        self._takeover: Callable[[], object] | None = None
         self._done: Any = None if device == "cpu" else wp.Event(device)
 
     def _shapes(self, transducers: int, frames: int) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -206,7 +206,7 @@ class GraphWork:
             ]
         if of.free:
             names += ["path_group", "path_ring", "path_pushes", *(f"weights_{number}" for number in of.skins)]
-        if of.kept:
+        if of.resident:
             names += ["path_begun", "path_end"]
             names += [f"{name}_{number}" for number in of.skins for name in ("before", "after")]
         return names
@@ -229,7 +229,7 @@ class GraphWork:
     ) -> dict[str, Launches]:
         """Return launches of the ARP of each purpose; those that place points and shadows belong to the pose."""
         model, arrays, device = self.model, self.arrays, self.device
-        meshes = self._kept = meshes_of(model, reference, device)
+        meshes = self._meshes = meshes_of(model, reference, device)
         surfaces: dict[str, list[Surface]] = {name: [] for name in PURPOSES}
         places = dict(zip(PURPOSES, (points.loaded, points.sampled, points.probed), strict=True))
         weighing: Launches = []
@@ -293,7 +293,7 @@ class GraphWork:
             matrix: Any = wp.array(np.hstack(readers), dtype=wp.float64, device=device)
             states = before.reshape((worlds, before.shape[1] // len(matrix), len(matrix)))
             self._reading.append(launch(kernels.read_modes, read.shape, [states, matrix, read], device))
-        if self.of.kept:
+        if self.of.resident:
             self._taking.append(launch(kernels.take_over, before.shape, [self._active.array, after, before], device))
         sums = arrays[f"sums_{skin}"]
         return [*model.calls(memory), launch(kernels.sums_of_squares, sums.shape, [squares, sums], device)]
@@ -317,7 +317,7 @@ class GraphWork:
         """Make one function of all these calls; on a GPU it is a captured graph."""
         calls = self.calls(moved, sounds, skins)
         # Refitting a mesh is not recorded on the CPU, and takes memory from the pool on a GPU
-        refits = moved and len(self._kept) > 0
+        refits = moved and len(self._meshes) > 0
         captures = not refits or (self.device != "cpu" and wp.get_device(self.device).is_mempool_supported)
         made = self._replays[moved, sounds, skins] = replayed(calls, self.device) if captures else partial(_do, calls)
         return made
@@ -339,14 +339,14 @@ class GraphWork:
 
     def take_over(self, rows: Any) -> None:
         """Set the state of some worlds on the device to the result of the last step."""
-        if self._taken is None:
-            self._taken = replayed([self._active.upload, *self._taking], self.device)
+        if self._takeover is None:
+            self._takeover = replayed([self._active.upload, *self._taking], self.device)
         if self.device != "cpu":
             wp.synchronize_stream(self.device)
         self._active.host[:] = 0
         self._active.host[rows] = 1
         with launching:
-            self._taken()
+            self._takeover()
 
 
 def _boxes(model: HapticModel) -> tuple[Float, Float]:

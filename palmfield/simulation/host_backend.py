@@ -15,8 +15,8 @@ from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse, present_drive, rows
 from palmfield.errors import naming_world
 from palmfield.simulation.backend import Backend, Frames, StepTrace
+from palmfield.simulation.cached import Bool, Cached, Rows, Serials
 from palmfield.simulation.emission import MeanDrives
-from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import SensorPlace
@@ -49,7 +49,7 @@ Loaded = list[tuple[SkinStepper, Rows, SurfaceLoads]]
 """Steppers of a skin with the numbers of their worlds (w,) and the loads there."""
 TOGETHER = 16
 """Largest number of steps in one pose that are computed together. More steps do not reduce the cost of each."""
-KEPT = 64
+MOST_STORED = 64
 """Number of cached assignments of worlds to steppers."""
 
 
@@ -99,9 +99,9 @@ class HostBackend(Backend):
         # Drives at the start of the step, set when the first sensor is read
         self._present: list[Sounding] | None = None
         # For worlds with one drive: forces by body, load outside the class of modes, and stacks of patterns by skin
-        self._kept = Kept(worlds)
+        self._cached = Cached(worlds)
         # Not shared with copies of the state: ARP by sensor for worlds with one drive, and steppers on a device
-        self._own = Kept(worlds)
+        self._own = Cached(worlds)
         # Last pose in which the reduced model was valid, by skin and world
         self._served: Serials = np.zeros((len(first.skins), worlds), np.int64)
         # Whether the first stepper of a skin is valid for any pose and course; None before anything has moved
@@ -125,7 +125,7 @@ class HostBackend(Backend):
         """Continue from another HostBackend, whose state has been copied, in the same PosedScenes."""
         self.smooth.adopt(other.smooth)
         self._posed, self._poses, self._served = list(other._posed), other._poses.copy(), other._served.copy()
-        self._kept.adopt(other._kept)
+        self._cached.adopt(other._cached)
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
@@ -136,7 +136,7 @@ class HostBackend(Backend):
         for world in self._apart:
             emission = self.works[world].emission
             if emission.holds or emission.coming:
-                self._in(self._hold_points, world, t0)
+                self._in(self._hold_world, world, t0)
         if not self._apart:
             return self.smooth.joined
         apart = np.array(self._apart, np.intp)
@@ -157,11 +157,11 @@ class HostBackend(Backend):
         self._posed[0], self._poses[0], self._apart = posed, posed.serial, [0]
         self.smooth.forget()
         self.smooth.joined = self.smooth.joined[:0]
-        self._hold_points(0, t0)
+        self._hold_world(0, t0)
         self.works[0].look_ahead(posed)
         self._emitted[0] = self.state.emission()[0]
 
-    def _hold_points(self, world: int, t0: float) -> None:
+    def _hold_world(self, world: int, t0: float) -> None:
         """Update foci whose control tick is due; after a reset drop held foci and precomputed steps."""
         emission = self.works[world].emission
         if untouched(self._states[world]):
@@ -223,7 +223,7 @@ class HostBackend(Backend):
         for body, own in enumerate(forces):
             own[self.joined] = 0.0
             for one in self._singles[body]:
-                made = self._kept.rows(body, own.shape[1:], one.worlds, one.keys, self._force, body, one)
+                made = self._cached.rows(body, own.shape[1:], one.worlds, one.keys, self._force, body, one)
                 own[one.worlds] = one.factors[:, None, None, None] * made
             for world, arp in self._pressed[body].items():
                 own[world] = self.works[world].radiation.force(self._posed[world], body, arp)
@@ -356,9 +356,9 @@ class HostBackend(Backend):
                 loaded = self._loads(group, skin)
             watched = []
             for stepper, own, loads in loaded:
-                seen = self._step(skin, stepper, own, loads, (t0, t1))
-                if seen is not None:
-                    watched.append((own, seen))
+                observed = self._step(skin, stepper, own, loads, (t0, t1))
+                if observed is not None:
+                    watched.append((own, observed))
             motion.append(tuple(watched))
         if self.observer is not None:
             self.observer(group._replace(motion=tuple(motion)))
@@ -406,13 +406,13 @@ class HostBackend(Backend):
             if not stepper.of_class:
                 continue
             at = group.worlds.searchsorted(own)
-            for i, seen in zip(at.tolist(), self._outside(skin, stepper, own, group.keys[at], loads), strict=True):
+            for i, load in zip(at.tolist(), self._outside(skin, stepper, own, group.keys[at], loads), strict=True):
                 world = int(group.worlds[i])
                 model, outside = self.models[world], self.works[world].outside[skin]
                 if outside.loudest is None:
                     work = self.works[world]
                     outside.loudest = loudest_load(model, skin, stepper, work.reference, work.radiation)
-                if leaves_class(model, skin, outside.add(seen)):
+                if leaves_class(model, skin, outside.add(load)):
                     self._continue_whole(group, i, skin, t0)
                     left = True
         return left
@@ -429,7 +429,7 @@ class HostBackend(Backend):
             i = worlds.searchsorted(world)
             return np.array(stepper.outside(SurfaceLoads(loads.pressure_Pa[i : i + 1], ONE, ONE)))
 
-        units = self._kept.rows(("outside", skin), (len(Outside._fields),), worlds, keys, of_unit)
+        units = self._cached.rows(("outside", skin), (len(Outside._fields),), worlds, keys, of_unit)
         return [Outside(*row) for row in (squares[:, None] * units).tolist()]
 
     def _step(
@@ -445,9 +445,9 @@ class HostBackend(Backend):
         if len(worlds) == len(part):
             return step(part[:, numbers], loads, *times, reader)
         states = part[worlds, numbers]
-        seen = step(states, loads, *times, reader)
+        observed = step(states, loads, *times, reader)
         part[worlds, numbers] = states
-        return seen
+        return observed
 
     def _claim(self, skin: int, stepper: SkinStepper, worlds: Rows) -> None:
         """Write a stepper into the states of a skin. Raises an error for a state in motion without a writer."""
@@ -464,7 +464,7 @@ class HostBackend(Backend):
         for stepper, own in self.steppers(skin, group.worlds):
             at = group.worlds.searchsorted(own)
             key = own.tobytes() + group.keys[at].tobytes()
-            pressure = self._kept.of((skin, stepper), key, self._stacked, group, skin, stepper, at)
+            pressure = self._cached.of((skin, stepper), key, self._stacked, group, skin, stepper, at)
             loads = SurfaceLoads(pressure, group.first[at], group.last[at], group.first.shape[2] == 1)
             loaded.append((stepper, own, loads))
         return loaded
@@ -513,7 +513,7 @@ class HostBackend(Backend):
             model = self.models[world]
             stepper: SkinStepper = (model.whole if left else model.begin)[skin].value
             steppers.setdefault(id(stepper), (stepper, []))[1].append(world)
-        if len(self._shared_out) >= KEPT:
+        if len(self._shared_out) >= MOST_STORED:
             self._shared_out.clear()
         found = self._shared_out[key] = [(one, np.array(own, dtype=np.intp)) for one, own in steppers.values()]
         return found

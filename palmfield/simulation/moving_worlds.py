@@ -16,9 +16,9 @@ from palmfield.device import resolve
 from palmfield.drive.path_drives import PathDrives, aim_of, foci_made, push_rows
 from palmfield.drive.transducer_response import SILENT
 from palmfield.simulation.backend import Backend, Frames
+from palmfield.simulation.cached import Bool, Rows
 from palmfield.simulation.emission import LEAST_MEANS, array_drives, mean_weights
 from palmfield.simulation.graph_work import FORCE, LOAD, NOW, GraphOf, GraphSizes, GraphWork
-from palmfield.simulation.kept import Bool, Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PoseLayout
 from palmfield.simulation.sensors import SensorPlace
@@ -85,7 +85,7 @@ class MovingWorlds(Backend):
         self._columns: list[int] = []  # index of each sensor among those of its skin
         self._work: GraphWork | None = None
         self._ahead: _Ahead | None = None
-        self._seen: dict[int, Outside] = {}  # load outside the class of modes in this step, by skin, shape (w,) each
+        self._outside: dict[int, Outside] = {}  # load outside the class of modes in this step, by skin, shape (w,) each
         stimuli = [model.stimuli[0] for model in models]
         kinds: dict[str, int] = {}
         self._kinds = np.array([kinds.setdefault(part.config.model_dump_json(), len(kinds)) for part in stimuli])
@@ -147,7 +147,7 @@ class MovingWorlds(Backend):
         if self._alone:
             self._bring(work, joins)
         else:
-            self._take(work)
+            self._read_states(work)
         hosts = work.inputs.hosts
         hosts["places"][:] = frames.places[self.own]
         hosts["axes"][:] = frames.axes[self.own].reshape(hosts["axes"].shape)
@@ -196,7 +196,7 @@ class MovingWorlds(Backend):
         self._sizes = [(number, model.stepper.state_size) for number, model in steppers.items()]
         return work
 
-    def _take(self, work: GraphWork) -> None:
+    def _read_states(self, work: GraphWork) -> None:
         """Copy the state of this step to the device. Raises SceneError for the state of another model."""
         hosts = work.inputs.hosts
         emitted = self.state.emission()
@@ -314,11 +314,11 @@ class MovingWorlds(Backend):
         good &= foci_made(hosts["path_totals"], levels[:, :-1], quiet, self._aims[:, 0]) | ~self._sounds
         good &= np.isfinite(np.add.reduce(hosts["forces"], axis=(1, 2)))
         for number in work.of.skins:
-            seen = work.of.skins[number].outside([*hosts[f"sums_{number}"].T])
-            assert seen is not None
-            self._seen[number] = seen
-            loudest = np.maximum(np.maximum(self._loudest[number], seen.energy_of_all), NOTHING)
-            good &= ~np.asarray(leaves_class(self.models[0], number, np.sqrt(seen.energy / loudest)))
+            outside = work.of.skins[number].outside([*hosts[f"sums_{number}"].T])
+            assert outside is not None
+            self._outside[number] = outside
+            loudest = np.maximum(np.maximum(self._loudest[number], outside.energy_of_all), NOTHING)
+            good &= ~np.asarray(leaves_class(self.models[0], number, np.sqrt(outside.energy / loudest)))
         return np.asarray(good)
 
     def push(self, forces: Sequence[Float]) -> None:
@@ -351,9 +351,9 @@ class MovingWorlds(Backend):
         hosts = work.results.hosts
         self._most = np.where(self._here, hosts["most"], 0.0)
         for number in work.of.skins:
-            seen = self._seen[number]
-            self._sums[number][:, rows] += np.array(seen)[:, rows]
-            most = np.maximum(self._loudest[number], np.asarray(seen.energy_of_all))
+            outside = self._outside[number]
+            self._sums[number][:, rows] += np.array(outside)[:, rows]
+            most = np.maximum(self._loudest[number], np.asarray(outside.energy_of_all))
             self._loudest[number, rows] = most[rows]
         work.take_over(rows)
         self._fetched = False
@@ -367,7 +367,7 @@ class MovingWorlds(Backend):
         if self._rings:
             self.state.set_emission(slice(None), hosts["path_end"].view(np.complex128)[..., 0])
         for number, of in work.of.skins.items() if skins else ():
-            keeper.outside[number].add(Outside(*np.concatenate(self._seen[number]).tolist()))
+            keeper.outside[number].add(Outside(*np.concatenate(self._outside[number]).tolist()))
             claim(model, self.state, number, of.stepper)
             self.state.skins[number][:, HEADER : HEADER + of.stepper.state_size] = hosts[f"after_{number}"]
 

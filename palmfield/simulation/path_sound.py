@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from palmfield.simulation.kept import Kept
+from palmfield.simulation.cached import Cached
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import SERIAL, PosedScene
 from palmfield.simulation.radiation import Radiation
@@ -28,12 +28,12 @@ class PathSound:
         self.model, self.radiation, self.reference = model, radiation, reference
         self.off = 0
         same = beside is not None and beside.model.spec.stimuli == model.spec.stimuli
-        self._fields: Kept = beside._fields if beside is not None and same else Kept()
-        self._arp = Kept()  # with buffers of its own
+        self._fields: Cached = beside._fields if beside is not None and same else Cached()
+        self._arp = Cached()  # with buffers of its own
 
     def adopt(self, other: "PathSound") -> None:
         """Copy the results of another state of the same model."""
-        self.reference, self.off, self._arp = other.reference, other.off, Kept()
+        self.reference, self.off, self._arp = other.reference, other.off, Cached()
         self._fields.adopt(other._fields)
 
     def holds(self, posed: PosedScene) -> bool:

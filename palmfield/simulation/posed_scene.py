@@ -269,7 +269,7 @@ def posed_scene(
     for number, (row, bones) in enumerate(layout.bodies):
         first = reference.bodies[number]
         frame = Transform(positions[row], rotations[row])
-        of_bones = NO_FRAMES if first.model.hand is None else _seen_from(world_positions, world_rotations, row, bones)
+        of_bones = NO_FRAMES if first.model.hand is None else _frames_in(world_positions, world_rotations, row, bones)
         body = PosedSurface(model.bodies[number], first.skin, frame, of_bones)
         placed.append(body)
         if previous.bodies[number].numbers == body.numbers:
@@ -287,7 +287,7 @@ def posed_scene(
         body, row = bodies[skin.body], layout.bodies[skin.body][0]
         others, obstacles = layout.obstacles[number], NO_FRAMES
         if others.start < others.stop:
-            obstacles = _seen_from(world_positions, world_rotations, row, others)
+            obstacles = _frames_in(world_positions, world_rotations, row, others)
         posed_skin = PosedSkin(skin, body, obstacles)
         last, first_pose = previous.skins[number], reference.skins[number]
         if last.body is body and last.numbers == posed_skin.numbers:
@@ -347,7 +347,7 @@ def _obstacles_settled(posed: PosedSkin, reference: PosedSkin) -> bool:
     return bool(moved < posed.skin.still_m)
 
 
-def _seen_from(positions: Float, rotations: Float, body: int, others: slice) -> tuple[Float, Float]:
+def _frames_in(positions: Float, rotations: Float, body: int, others: slice) -> tuple[Float, Float]:
     turn = rotations[body]
     return (positions[others] - positions[body]) @ turn, turn.T @ rotations[others]
 

@@ -10,11 +10,11 @@ from palmfield.acoustics.arp import SurfaceSound
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.acoustics.surface_load import Parts, pushes, resultants
 from palmfield.drive.transducer_response import EmittedCourse
-from palmfield.simulation.kept import Kept
+from palmfield.simulation.cached import Cached
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.seen_samples import SeenSamples
 from palmfield.simulation.skin_sound import ChosenPoints, FreeSound, Key, Role, SkinPoints, Solution
+from palmfield.simulation.visible_samples import VisibleSamples
 from palmfield.types import Complex, Float, Float32, Int
 
 ALWAYS = np.ones(1, dtype=bool)
@@ -23,15 +23,15 @@ ALWAYS = np.ones(1, dtype=bool)
 class Radiation:
     """Computes ARP at the points of the skins of a model.
 
-    kept: results that a copy of the state reuses; chosen: for each skin, its points for the role "load"
+    cached: results that a copy of the state reuses; chosen: for each skin, its points for the role "load"
     """
 
     def __init__(self, model: HapticModel, beside: "Radiation | None" = None):
         """beside: the Radiation of another world with the same thread; buffers and trees are shared, not results."""
-        self.model, self.kept = model, Kept()
+        self.model, self.cached = model, Cached()
         # Buffers and trees, moved in place; and all points ever chosen, stored so that ids of arrays stay unique
-        self._shared: Kept = Kept() if beside is None else beside._shared
-        self._choices: Kept = Kept() if beside is None else beside._choices
+        self._shared: Cached = Cached() if beside is None else beside._shared
+        self._choices: Cached = Cached() if beside is None else beside._choices
         self.chosen: dict[int, ChosenPoints] = {} if beside is None else beside.chosen
         self._sound = [self._sound_on(skin) for skin in model.skins]
 
@@ -43,7 +43,7 @@ class Radiation:
         from palmfield.simulation.shadows import BentSound, ScatteredSound, ShadedSound
 
         if kind == "scattering":
-            return ScatteredSound(self.model, self.kept)
+            return ScatteredSound(self.model, self.cached)
         return (BentSound if bends(skin) else ShadedSound)(self.model, self._shared)
 
     def choose(self, skin: int, points: Int) -> None:
@@ -58,7 +58,7 @@ class Radiation:
         """
         if serial:
             key = *self._places(posed, skin, role), serial
-            return self.kept.of(("sound", skin, role), key, self.on, posed, skin, role, drive)
+            return self.cached.of(("sound", skin, role), key, self.on, posed, skin, role, drive)
         return self._sound[skin].sound(self.points(posed, skin, role), drive)
 
     def patterns(self, posed: PosedScene, skin: int, role: Role, course: EmittedCourse) -> Float32:
@@ -71,7 +71,7 @@ class Radiation:
             return self.sums(posed, skin, course.units, course.levels, role)
         if course.batch is not None:
             key = *self._places(posed, skin, role), course.batch.serial
-            batch = self.kept.of(("batch", skin, role), key, self.many, posed, skin, course.batch.drives, role)
+            batch = self.cached.of(("batch", skin, role), key, self.many, posed, skin, course.batch.drives, role)
             return batch[course.row : course.row + len(course.units)]
         # An unchanged emission is computed once
         changes = np.logical_or.reduce(course.units[1:] != course.units[:-1], axis=1)
@@ -137,7 +137,7 @@ class Radiation:
         """
         surface = posed.bodies[body]
         key = posed.arrays.serial, surface.serial
-        of_unit, parts = self.kept.of(("push", body), key, self._of_unit_pressure, posed, body)
+        of_unit, parts = self.cached.of(("push", body), key, self._of_unit_pressure, posed, body)
         return np.array(resultants(arp, of_unit, surface.origins, parts)) @ posed.array_frame.rotation.T
 
     def _of_unit_pressure(self, posed: PosedScene, body: int) -> tuple[Float, Parts]:
@@ -148,16 +148,16 @@ class Radiation:
 
     def solution(self, skin: int) -> Solution | None:
         """Return the last boundary-element solution for the body of a skin."""
-        return self.kept.last(("solution", skin))  # type: ignore[no-any-return]
+        return self.cached.last(("solution", skin))  # type: ignore[no-any-return]
 
     def adopt(self, skin: int, solution: Solution) -> None:
         """Store a boundary-element solution for the body of a skin."""
         key = Solution.key(solution.posed, skin, solution.drive)
-        self.kept.of(("solution", skin), key, lambda: solution)
+        self.cached.of(("solution", skin), key, lambda: solution)
 
     def continue_from(self, other: "Radiation") -> None:
         """Copy the results of another Radiation, for a copy of its state in the same PosedScenes."""
-        self.kept.adopt(other.kept)
+        self.cached.adopt(other.cached)
         self._choices.adopt(other._choices)
 
     def points(self, posed: PosedScene, skin: int, role: Role) -> SkinPoints:
@@ -165,22 +165,22 @@ class Radiation:
         part, numbers = posed.skins[skin], None
         if role == "load":
             chosen, move = self.chosen[skin], part.body.moved
-            points, normals = self.kept.of(("load", skin), (part.serial, chosen.serial), move, *chosen.rest)
+            points, normals = self.cached.of(("load", skin), (part.serial, chosen.serial), move, *chosen.rest)
             numbers = chosen.numbers
         elif role == "samples":
             # The same as `samples`, inlined to save a call
             key, inputs = (posed.arrays.serial, part.body.serial), (self._sound[skin].samples, part.body, posed.arrays)
-            points, normals, _, numbers = self.kept.of(("samples", skin), key, *inputs)
+            points, normals, _, numbers = self.cached.of(("samples", skin), key, *inputs)
         else:
             points, normals = part.nodes if role == "nodes" else part.quadrature
         name = "field", skin, role, len(points)
         field = self._shared.of(name, posed.arrays.serial, self._field, posed, skin, len(points))
         return posed, skin, role, points, normals, numbers, field
 
-    def samples(self, posed: PosedScene, skin: int) -> SeenSamples:
+    def samples(self, posed: PosedScene, skin: int) -> VisibleSamples:
         """Return the force samples of the body: those facing the arrays, or all if sound bends around the body."""
         body, arrays = posed.skins[skin].body, posed.arrays
-        return self.kept.of(("samples", skin), (arrays.serial, body.serial), self._sound[skin].samples, body, arrays)
+        return self.cached.of(("samples", skin), (arrays.serial, body.serial), self._sound[skin].samples, body, arrays)
 
     def _field(self, posed: PosedScene, skin: int, count: int) -> SurfaceArp:
         """Return the field evaluator for this number of points of a skin."""

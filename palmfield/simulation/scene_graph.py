@@ -20,10 +20,10 @@ from palmfield.drive.path_drives import PathDrives, foci_made, push_rows
 from palmfield.drive.transducer_response import EmittedCourse, of_drives, present_drive
 from palmfield.errors import PalmfieldError
 from palmfield.simulation.backend import Frames, StepTrace
+from palmfield.simulation.cached import Bool, Cached, Rows, Serials
 from palmfield.simulation.emission import MeanDrives, PathStep
 from palmfield.simulation.graph_work import PURPOSES, GraphOf, GraphSizes, GraphWork
 from palmfield.simulation.host_backend import ONE, HostBackend, Loaded
-from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout
 from palmfield.simulation.scene_points import MotionRows, motions_of
@@ -70,7 +70,7 @@ class SceneGraph(HostBackend):
         model = self.model = models[0]
         self._work, self._reference = works[0], works[0].reference
         device = resolve(model.spec.device)
-        self._transducers, self._made = Transducers(model.arrays, device), Kept()
+        self._transducers, self._made = Transducers(model.arrays, device), Cached()
         layout = PoseLayout(model)
         self._motions: MotionRows = motions_of(model, layout)
         # Arrays and stimuli do not move in the frame of the first array
@@ -120,7 +120,7 @@ class SceneGraph(HostBackend):
             # Computed first, because the others reuse its results
             moments, course = emission.over(posed, emitted, t0, self.model.substeps)
             mean, now = emission.mean_drives(posed, emitted, t0), emission.now(posed, emitted, t0)
-            self._given(posed, moments, course, mean, now)
+            self._with_drives(posed, moments, course, mean, now)
         self.course = moments, course
         self.stepped = [(skin, one.state_size) for skin, one in self._stepped.items()]
         return True
@@ -135,7 +135,7 @@ class SceneGraph(HostBackend):
         rows = moments, len(counted), 1
         course = of_drives(np.empty((moments, 0), np.complex128), np.empty(len(emitted), np.complex128))
         graph, models = self._room(GraphSizes(rows, rows, len(path.foci)), drives)
-        self._take(graph, models, path.moments, course)
+        self._copy_states(graph, models, path.moments, course)
         hosts = graph.inputs.hosts
         hosts["path_counts"][0] = count + 1, count // moments
         hosts["path_group"][0] = 0 if path.group is None else path.group
@@ -160,10 +160,10 @@ class SceneGraph(HostBackend):
     def _path_drives(self, posed: PosedScene, t0: float) -> PathDrives:
         """Return the object that computes drives from a focus, for the present pose of the arrays."""
         drive, response = self._work.emission.placed(posed, t0)[0].drive, self.model.stimuli[0].response
-        given = drive, self._transducers, response.stepper if response.on else None
-        return self._made.of("drives", posed.arrays.serial, PathDrives, *given, move=lambda one, *_: one.move(drive))
+        inputs = drive, self._transducers, response.stepper if response.on else None
+        return self._made.of("drives", posed.arrays.serial, PathDrives, *inputs, move=lambda one, *_: one.move(drive))
 
-    def _given(
+    def _with_drives(
         self, posed: PosedScene, moments: Moments, course: EmittedCourse, mean: MeanDrives, now: EmittedCourse
     ) -> None:
         """Compute a step with these drives."""
@@ -174,13 +174,13 @@ class SceneGraph(HostBackend):
         drives = [1 if one is None else len(one.units) for one in sounding.values()]
         sums = [1 if one is None else one.sums for one in sounding.values()]
         graph, models = self._room(GraphSizes((drives[0], drives[1], 1), (sums[0], sums[1], 1), 0), None)
-        self._take(graph, models, moments, course)
+        self._copy_states(graph, models, moments, course)
         serials, changed = dict[str, int](), graph is not self._now or posed.serial != self._computed
         for name, one in sounding.items():
             # Silence needs no new field; the stored field may be used again later
             serials[name] = self._sounding.get(name, 0) if one is None else one.serial
             if one is not None and (changed or self._sounding.get(name) != one.serial):
-                self._tell(graph, name, one)
+                self._copy_drives(graph, name, one)
         sounds = any(one is not None for one in sounding.values()) and (changed or serials != self._sounding)
         self._present_factor = 0.0 if present is None else factor
         if sounds or models:
@@ -213,10 +213,10 @@ class SceneGraph(HostBackend):
     def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
         """Return the device model of the stepper of a skin, stored; None if the skin is stepped on the CPU."""
         points = len(self.model.skins[skin].layer.quadrature.points)
-        given = self.model.substeps, points, self._transducers.device
-        return self._made.of((skin, stepper), (), stepper.device_model, *given)
+        inputs = self.model.substeps, points, self._transducers.device
+        return self._made.of((skin, stepper), (), stepper.device_model, *inputs)
 
-    def _take(
+    def _copy_states(
         self, graph: GraphWork, models: Mapping[int, DeviceModel], moments: Moments, course: EmittedCourse
     ) -> None:
         """Copy the skin states at the beginning of the step, and the weight of each pressure pattern."""
@@ -228,7 +228,7 @@ class SceneGraph(HostBackend):
             hosts[f"weights_{number}"][0] = 0.0
             hosts[f"weights_{number}"][0, :, : weights.shape[1]] = weights
 
-    def _tell(self, graph: GraphWork, name: str, sounding: Sounding) -> None:
+    def _copy_drives(self, graph: GraphWork, name: str, sounding: Sounding) -> None:
         """Copy the drives for one purpose. Raises PalmfieldError for drives that are not finite."""
         if not cmath.isfinite(np.add.reduce(sounding.units, axis=None)):
             bad = check.first_bad(sounding.units.T)
@@ -247,13 +247,13 @@ class SceneGraph(HostBackend):
         moved = sounds and (graph is not self._now or posed.serial != self._computed)
         if moved:
             self._place(graph, posed)
-        kept = (self._computed, self._sounding) if graph is self._now else (0, dict[str, int]())
+        previous = (self._computed, self._sounding) if graph is self._now else (0, dict[str, int]())
         # If it fails, no result is valid
         self._now, self._computed, self._sounding, self._stepped = None, 0, {}, {}
         graph.launch(moved, sounds, skins)
         graph.wait()
         self.launches += 1
-        self._now, (self._computed, self._sounding) = graph, ((posed.serial, serials) if sounds else kept)
+        self._now, (self._computed, self._sounding) = graph, ((posed.serial, serials) if sounds else previous)
         self._fetched &= not sounds
         self._stepped = {number: graph.of.skins[number].stepper for number in skins}
 
@@ -323,8 +323,8 @@ class SceneGraph(HostBackend):
         self, skin: int, stepper: SkinStepper, worlds: Rows, keys: Serials, loads: SurfaceLoads
     ) -> list[Outside]:
         now = self._steps_here(skin, stepper)
-        seen = None if now is None else now.of.skins[skin].outside(now.results.hosts[f"sums_{skin}"][0].tolist())
-        return super()._outside(skin, stepper, worlds, keys, loads) if seen is None else [seen]
+        outside = None if now is None else now.of.skins[skin].outside(now.results.hosts[f"sums_{skin}"][0].tolist())
+        return super()._outside(skin, stepper, worlds, keys, loads) if outside is None else [outside]
 
     def _step(
         self, skin: int, stepper: SkinStepper, worlds: Rows, loads: SurfaceLoads, times: tuple[float, float]

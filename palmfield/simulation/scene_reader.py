@@ -213,11 +213,11 @@ def read_file(read: Callable[[str], T], config: Config, key: str, element: str) 
 
 def check_calibrated_once(calibration: "Calibration", config: ArrayConfig, element: str) -> None:
     """Raise SceneError if a key and the calibration set the same quantity."""
-    for key, known in (("p0_Pa_m", calibration.p0), ("quality", calibration.quality)):
-        if known is not None and getattr(config, key) is not None:
+    for key, calibrated in (("p0_Pa_m", calibration.p0), ("quality", calibration.quality)):
+        if calibrated is not None and getattr(config, key) is not None:
             raise SceneError(
                 f"{element}: key '{key}' has value {getattr(config, key):g}, but the file of key 'calibration' has "
-                f"{known.value:g}; remove one of them"
+                f"{calibrated.value:g}; remove one of them"
             )
 
 

@@ -13,11 +13,11 @@ from palmfield.acoustics.occlusion import Occlusion, distance_to_arrays
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.shadow_nodes import ShadowNodes, shadow_nodes
 from palmfield.acoustics.surface_arp import Shades, rows_of
-from palmfield.simulation.kept import Kept
+from palmfield.simulation.cached import Cached
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
-from palmfield.simulation.seen_samples import SeenSamples
 from palmfield.simulation.skin_sound import ChosenPoints, FreeSound, SkinPoints, Solution
+from palmfield.simulation.visible_samples import VisibleSamples
 from palmfield.types import Complex, Float, Int
 
 SKIN_SPACING_m, BODY_SPACING_m = 0.008, 0.024
@@ -27,7 +27,7 @@ SKIN_SPACING_m, BODY_SPACING_m = 0.008, 0.024
 class _Behind(FreeSound):
     """Sound on a skin behind bodies. shared: trees and weights that are moved in place"""
 
-    def __init__(self, model: HapticModel, shared: Kept):
+    def __init__(self, model: HapticModel, shared: Cached):
         self.model, self._shared = model, shared
 
     def _obstacles(self, posed: PosedScene, skin: int) -> Occlusion:
@@ -113,22 +113,22 @@ class BentSound(_Behind):
 
 
 class ScatteredSound(FreeSound):
-    """Total sound on the rigid body of a skin. kept: stores the last solution."""
+    """Total sound on the rigid body of a skin. cached: stores the last solution."""
 
     one_by_one = True
 
-    def __init__(self, model: HapticModel, kept: Kept):
-        self.model, self._kept = model, kept
+    def __init__(self, model: HapticModel, cached: Cached):
+        self.model, self._cached = model, cached
 
     @staticmethod
-    def samples(body: PosedSurface, arrays: PhasedArray) -> SeenSamples:
+    def samples(body: PosedSurface, arrays: PhasedArray) -> VisibleSamples:
         """Return all samples, because sound bends around the body."""
         return *body.samples, np.arange(len(body.samples[2]), dtype=np.int32)
 
     def sound(self, at: SkinPoints, drive: Complex) -> SurfaceSound:
         posed, skin, _, points, *_ = at
         key = Solution.key(posed, skin, drive)
-        solution = self._kept.of(("solution", skin), key, self._solve, posed, skin, drive)
+        solution = self._cached.of(("solution", skin), key, self._solve, posed, skin, drive)
         return solution.at(posed.skins[skin].body.frame.inverse_points(points))
 
     def _solve(self, posed: PosedScene, skin: int, drive: Complex) -> Solution:

@@ -8,7 +8,7 @@ from palmfield.acoustics.surface_arp import Shades, SurfaceArp
 from palmfield.locked import next_serial
 from palmfield.simulation.model import SkinModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.seen_samples import seen_samples
+from palmfield.simulation.visible_samples import visible_samples
 from palmfield.types import Complex, Float, Int
 
 Role = Literal["quadrature", "load", "samples", "nodes", "vertices", "probe"]
@@ -31,7 +31,7 @@ class FreeSound:
     """
 
     bends = one_by_one = False
-    samples = staticmethod(seen_samples)
+    samples = staticmethod(visible_samples)
 
     def shades(self, at: SkinPoints) -> Shades | None:
         """Return the share of the sound of each transducer that passes bodies; None without obstacles. Only if it

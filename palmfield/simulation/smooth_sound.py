@@ -11,8 +11,8 @@ import numpy as np
 from palmfield.drive.array_drive import UnitDrive
 from palmfield.drive.transducer_response import SILENT, EmittedCourse, of_unit, ring, silence
 from palmfield.errors import PalmfieldError
+from palmfield.simulation.cached import Bool, Rows, Serials
 from palmfield.simulation.emission import LEAST_MEANS, Emission, array_drives
-from palmfield.simulation.kept import Bool, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.state import LEVEL, HapticState

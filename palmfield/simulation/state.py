@@ -14,7 +14,7 @@ from importlib.metadata import version
 import numpy as np
 
 from palmfield.errors import SceneError
-from palmfield.simulation.kept import Rows
+from palmfield.simulation.cached import Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float

@@ -11,9 +11,9 @@ import numpy as np
 
 from palmfield.blas import one_blas_thread
 from palmfield.simulation.backend import Backend, Frames, Observer, serves
+from palmfield.simulation.cached import Bool
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.host_backend import TOGETHER, HostBackend
-from palmfield.simulation.kept import Bool
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import SensorPlace

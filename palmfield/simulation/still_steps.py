@@ -13,9 +13,9 @@ from palmfield.blas import one_blas_thread
 from palmfield.drive.transducer_response import Batch, EmittedCourse, of_drives, ring, rows
 from palmfield.locked import next_serial
 from palmfield.simulation.backend import Frames
+from palmfield.simulation.cached import Bool, Rows
 from palmfield.simulation.emission import LEAST_MEANS, TICK_S, mean_weights
 from palmfield.simulation.host_backend import HostBackend, Sounding
-from palmfield.simulation.kept import Bool, Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import SensorPlace

@@ -255,8 +255,8 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
         # The shortest time between two jumps is the shorter part of the period
         duty = config.am_waveform_duty or 1.0
         needed = max(needed, (config.am_frequency_Hz or 0.0) / min(duty, 1.0 - duty))
-    wants_level = config.arp_peak_Pa is not None or config.drive_amplitude not in (None, 0.0, 1.0)
-    wants_level = wants_level or (am and config.am_normalisation != "peak")
+    needs_levels = config.arp_peak_Pa is not None or config.drive_amplitude not in (None, 0.0, 1.0)
+    needs_levels = needs_levels or (am and config.am_normalisation != "peak")
     modulation_Hz = (config.am_frequency_Hz or 0.0) if am and not switched else 0.0
     check(
         board,
@@ -267,7 +267,7 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
         modulation_Hz=modulation_Hz,
         instead=partial(boards_for, max(needed, 2.0 * modulation_Hz), modulated, several_foci=several > 1),
     )
-    if not board.levels and (config.ramp_s > 0 or wants_level):
+    if not board.levels and (config.ramp_s > 0 or needs_levels):
         raise DeviceError(
             f"{element}: a ramp or a level between off and full needs continuous amplitude; {board.name} has only "
             "on and off: remove ramp_s, arp_peak_Pa, drive_amplitude and am_normalisation, or use key dither or "

@@ -711,10 +711,10 @@ MUTATIONS = (
     Mutation(
         "points that fill up keep an area",
         "press",
-        "palmfield/simulation/seen_samples.py",
-        "kept[count:] = 0.0",
-        "kept[count:] *= 1.0",
-        "tests/simulation/test_seen_samples.py::test_they_are_filled_up_by_points_without_area[palm_am200]",
+        "palmfield/simulation/visible_samples.py",
+        "visible_areas[count:] = 0.0",
+        "visible_areas[count:] *= 1.0",
+        "tests/simulation/test_visible_samples.py::test_they_are_filled_up_by_points_without_area[palm_am200]",
     ),
     Mutation(
         "path's fields taken wherever the body is",
@@ -727,7 +727,7 @@ MUTATIONS = (
     Mutation(
         "value kept where pose or drive is the same",
         "press",
-        "palmfield/simulation/kept.py",
+        "palmfield/simulation/cached.py",
         "np.logical_or.reduce(last[worlds] != keys, axis=1)",
         "np.logical_and.reduce(last[worlds] != keys, axis=1)",
         "tests/session/test_worlds.py::test_a_copy_goes_on_by_itself[one load, louder and softer]",
@@ -1063,7 +1063,7 @@ MUTATIONS = (
     Mutation(
         "worlds in one pose share what is theirs by drive",
         "press",
-        "palmfield/simulation/kept.py",
+        "palmfield/simulation/cached.py",
         "made.setdefault(keys[i].tobytes(), world)",
         "made.setdefault(keys[i, :1].tobytes(), world)",
         "tests/session/test_worlds.py::test_small_models_of_worlds_are_those_of_single_runs[levels]",

@@ -105,7 +105,7 @@ def test_loads_are_computed_ahead_where_a_path_has_no_small_span(small_scene, mo
     sim = load(small_scene(stimulus=CIRCLE, skin=SKIN))
     sim.step(STEPS)
     assert sim.runtime.work.path_sound is not None
-    assert "batch" in [name for name, *_ in sim.runtime.work.radiation.kept._last]
+    assert "batch" in [name for name, *_ in sim.runtime.work.radiation.cached._last]
 
 
 @pytest.mark.parametrize(

@@ -312,7 +312,7 @@ def test_more_drives_than_before_take_more_room(
     many = of_drives(drives, course.end)
     for wanted in (many, of_drives(drives[:1], course.end), many):
         monkeypatch.setattr(Emission, "over", lambda *_, wanted=wanted: (moments, wanted))
-        monkeypatch.setattr(graph, "_take", lambda *_: None)
+        monkeypatch.setattr(graph, "_copy_states", lambda *_: None)
         expected = Radiation(runtime.model).many(posed, 0, wanted.units)
         begin(graph, posed, sim.data.time)
         assert np.abs(graph.load(0) - expected).max() < 3e-5 * expected.max()

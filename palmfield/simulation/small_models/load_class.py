@@ -55,7 +55,7 @@ OFF_SKIN_m = 0.006
 """Largest distance by which a focus misses the skin in an example, along each axis [m]."""
 SPAN = 0.1
 """Share of the target accuracy that the shapes of the class may omit from its examples."""
-LEAST_LEFT_OUT = 0.0075
+LEAST_OMITTED = 0.0075
 """Below this value an additional shape reduces the error less than an additional block of modes."""
 WEAK, MOST_WEAK = 0.3, 0.025
 """Share of the target accuracy, in the energy norm, that omitted weak modes may cost; and its upper limit."""
@@ -87,7 +87,7 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "
         *(*posed.skins[skin].quadrature, part.spec.patch_centre, region_m(layer)),
     )
     span, points = (EDGES_SPAN, EDGES_POINTS) if _has_edges(part.spec) else (SPAN, POINTS)
-    tolerance, blocks = max(span * accuracy, LEAST_LEFT_OUT), blocks or block_count(accuracy)
+    tolerance, blocks = max(span * accuracy, LEAST_OMITTED), blocks or block_count(accuracy)
     weak = min(WEAK * accuracy, MOST_WEAK) * (WEAK_TOGETHER if laws(layer) > 1 else 1.0)
     with _lock:
         mark = cache.digest(depends_on, tolerance, blocks, points)
@@ -264,7 +264,7 @@ def _drives(
             (len(alone) + number, 0.5 * (one + phases[number % len(phases)] * other))
             for one in first for other in second if one is not None and other is not None
         ]  # fmt: skip
-    heard = [(number, drive) for number, drive in made if drive is not None]
-    if not heard:
+    sounding = [(number, drive) for number, drive in made if drive is not None]
+    if not sounding:
         raise SceneError("no modes for this skin: no transducer faces it in the reference pose")
-    return np.array([drive for _, drive in heard]), np.array([number for number, _ in heard], dtype=np.int32)
+    return np.array([drive for _, drive in sounding]), np.array([number for number, _ in sounding], dtype=np.int32)

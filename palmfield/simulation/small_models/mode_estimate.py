@@ -9,7 +9,7 @@ from palmfield.stimulus.schedule import frame_rates, main_frequencies, turn_m, t
 
 BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
 """Number of blocks of the space of modes at one accuracy, and the exponent of its decrease with accuracy."""
-KEPT = 0.36
+SHARE_OF_VECTORS = 0.36
 """Approximate number of modes per block and shape without the weak ones."""
 SHAPES = 15.0
 """Approximate number of load shapes at accuracy 0.2 on a region as wide as a spot."""
@@ -35,7 +35,7 @@ def laws(layer: SceneLayer) -> int:
 def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:
     """Return the expected number of modes, from the shipped scenes."""
     shapes = SHAPES * (region_m(layer) / layer.demand.spot_fwhm_m) ** 2 * (0.2 / skin.config.accuracy) ** 0.35
-    return float(KEPT * block_count(skin.config.accuracy) * shapes)
+    return float(SHARE_OF_VECTORS * block_count(skin.config.accuracy) * shapes)
 
 
 def block_count(accuracy: float) -> int:

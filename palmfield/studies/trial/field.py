@@ -125,7 +125,7 @@ class TrueSound:
         Return silence if no focus is possible, for instance for a live hand behind the array.
         """
         try:
-            return self.share(due_s) * self._exact.wanted(self.course.posed(time_s), due_s)
+            return self.share(due_s) * self._exact.target(self.course.posed(time_s), due_s)
         except SceneError:
             return np.zeros(len(self.model.arrays), np.complex128)
 

@@ -145,7 +145,7 @@ def play_live(
                 # A live hand may move behind the array
                 unreachable.append(str(error))
                 return silent(focus, sample_s)
-            return MadeFrame(data, focus, sample_s, lambda: share * afterwards.wanted(posed, due_s), frames.sounds)
+            return MadeFrame(data, focus, sample_s, lambda: share * afterwards.target(posed, due_s), frames.sounds)
 
         sent = send(
             board, times, make, duration_s, port=port or VIRTUAL, log=log, limits=limits, on_progress=on_progress

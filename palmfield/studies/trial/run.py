@@ -227,7 +227,7 @@ def _maker(
         focus = focus_in(course.model, sound.number, posed, due_s)
         flight_s = sound.flight_s(focus)
         sounds = exact or frames.sounds
-        return MadeFrame(data, focus, sample_s, lambda: share * afterwards.wanted(posed, due_s), sounds)
+        return MadeFrame(data, focus, sample_s, lambda: share * afterwards.target(posed, due_s), sounds)
 
     return make
 

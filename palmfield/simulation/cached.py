@@ -14,7 +14,7 @@ Serials = NDArray[np.int64]
 T = TypeVar("T")
 
 
-class Kept:
+class Cached:
     """The last result under each name, with its key: serial numbers, or a value that is equal while it is valid."""
 
     def __init__(self, worlds: int = 1):
@@ -63,7 +63,7 @@ class Kept:
             last[world] = keys[i]
         return values[worlds]
 
-    def adopt(self, other: "Kept") -> None:
-        """Copy all results of another Kept, for a copy of its state."""
+    def adopt(self, other: "Cached") -> None:
+        """Copy all results of another Cached, for a copy of its state."""
         self._last = dict(other._last)
         self._rows = {name: (last.copy(), values.copy()) for name, (last, values) in other._rows.items()}

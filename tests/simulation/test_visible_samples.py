@@ -13,7 +13,7 @@ from palmfield.data import folder
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.seen_samples import PADDED_TO, seen
+from palmfield.simulation.visible_samples import PADDED_TO, visible
 from palmfield.transforms import Placement
 
 HERE = Placement((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
@@ -45,7 +45,7 @@ def test_nothing_that_a_transducer_sees_is_left_out(count, seed):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     ways = array.array.positions[None] - points[:, None]
     in_front = (np.einsum("ntj,nj->nt", ways, normals) > 0.0).any(axis=1)
-    found = seen(points, normals, array)
+    found = visible(points, normals, array)
     assert found[in_front].all()
     # Boxes have corners where a round array has no transducer
     assert np.count_nonzero(found & ~in_front) <= 10
@@ -77,7 +77,7 @@ def test_they_are_filled_up_by_points_without_area(hand):
     everything = posed.bodies[0].samples[2]
     assert len(points) == len(normals) == len(areas) == len(numbers) < 0.7 * len(everything)
     assert len(points) % PADDED_TO == 0
-    assert np.count_nonzero(areas) == np.count_nonzero(seen(*posed.bodies[0].samples[:2], posed.arrays))
+    assert np.count_nonzero(areas) == np.count_nonzero(visible(*posed.bodies[0].samples[:2], posed.arrays))
     assert np.all(np.diff(np.flatnonzero(areas)) == 1) and np.all(np.diff(numbers) >= 0)
     assert np.array_equal(points, posed.bodies[0].samples[0][numbers])
 

@@ -14,12 +14,12 @@ PADDED_TO = 128
 """The number of points is padded to a multiple of this, so that a few buffer sizes are enough for all poses."""
 
 
-SeenSamples = tuple[Float, Float, Float, Int]
+VisibleSamples = tuple[Float, Float, Float, Int]
 """Points [m] and outward normals, array frame, shapes (n, 3), areas [m2], shape (n,), 0 for padding points, and the
 numbers of these samples among all samples of the body, shape (n,)."""
 
 
-def seen(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_]:
+def visible(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_]:
     """Return whether any transducer may be in front of points [m] with outward normals, shapes (n, 3) to (n,).
 
     The test uses the corners of a box that contains the transducers of each array.
@@ -28,13 +28,13 @@ def seen(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_
     return np.asarray(nearest > np.add.reduce(points * normals, axis=1))
 
 
-def seen_samples(body: PosedSurface, arrays: PhasedArray) -> SeenSamples:
+def visible_samples(body: PosedSurface, arrays: PhasedArray) -> VisibleSamples:
     """Return the samples of a body that the arrays can see."""
     points, normals, areas = body.samples
-    front = seen(points, normals, arrays).nonzero()[0]
+    front = visible(points, normals, arrays).nonzero()[0]
     count = len(front)
     numbers = np.empty(min(-(-count // PADDED_TO) * PADDED_TO, len(areas)), np.int32)
     numbers[:count], numbers[count:] = front, front[-1:]
-    kept = areas[numbers]
-    kept[count:] = 0.0
-    return points[numbers], normals[numbers], kept, numbers
+    visible_areas = areas[numbers]
+    visible_areas[count:] = 0.0
+    return points[numbers], normals[numbers], visible_areas, numbers
