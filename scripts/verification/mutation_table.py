@@ -520,8 +520,8 @@ MUTATIONS = (
         "channels in another order",
         "sense",
         "palmfield/simulation/sensors.py",
-        "for name, channel in CHANNELS.items():",
-        "for name, channel in reversed(CHANNELS.items()):",
+        "return np.array(rows, dtype=np.float64).T",
+        "return np.array(rows[::-1], dtype=np.float64).T",
         "tests/engine/test_plugins.py::test_sensor_reads_force_and_motion",
     ),
     Mutation(
