@@ -68,15 +68,15 @@ class SmoothSound:
         self._powers, self._peaks = np.zeros(worlds), np.zeros(worlds)
         self.serials: Serials = np.zeros(worlds, np.int64)
         # Factor on the unit drive when this object last wrote the state, and now
-        self._held: Complex = state.arrays[0][:, LEVEL].view(np.complex128)[:, 0]
+        self._stored: Complex = state.arrays[0][:, LEVEL].view(np.complex128)[:, 0]
         self.now: Complex = np.zeros(worlds, np.complex128)
-        self._known: Bool = np.zeros(worlds, dtype=bool)
+        self._level_known: Bool = np.zeros(worlds, dtype=bool)
         self._late: Bool = np.zeros(worlds, dtype=bool)  # worlds whose emission is not yet written into the state
         self.joined: Rows = np.zeros(0, dtype=np.intp)
 
     def forget(self) -> None:
         """Drop all emissions, after a reset."""
-        self._known[:] = self._late[:] = False
+        self._level_known[:] = self._late[:] = False
 
     def leave_out(self, world: int) -> None:
         """Stop computing the sound of a world: other code does it from now on."""
@@ -87,7 +87,7 @@ class SmoothSound:
         self._poses, self.serials, self._of = other._poses.copy(), other.serials.copy(), dict(other._of)
         self._units, self._powers, self._peaks = other._units.copy(), other._powers.copy(), other._peaks.copy()
         self._first, self._scales = dict(other._first), other._scales.copy()
-        self.now, self._known = other.now.copy(), other._known.copy()
+        self.now, self._level_known = other.now.copy(), other._level_known.copy()
 
     def begin(self, posed: Mapping[int, PosedScene], t0: float) -> list[int]:
         """Find the worlds whose sound one level determines in the step from t0 [s]; return numbers of the others."""
@@ -104,7 +104,7 @@ class SmoothSound:
         joins &= self._levels_alike(joins)
         if np.logical_or.reduce(self._late & ~joins):
             self.fetch()
-        self._known = joins & self._alone
+        self._level_known = joins & self._alone
         self.joined = joins.nonzero()[0]
         self._command(t0)
         return (here & ~joins).nonzero()[0].tolist()
@@ -123,7 +123,7 @@ class SmoothSound:
             unit, self._scales[world] = self._shared(unit, (posed.serial, *point))
         self._of[world], self.serials[world], self._poses[world] = unit, unit.serial, posed.serial
         self._units[world], self._powers[world], self._peaks[world] = unit.amplitudes, unit.power, unit.peak
-        self._known[world] = False
+        self._level_known[world] = False
         return True
 
     def _shared(self, unit: UnitDrive, key: tuple[float, ...]) -> tuple[UnitDrive, float]:
@@ -142,11 +142,11 @@ class SmoothSound:
     def _levels_alike(self, joins: Bool) -> Bool:
         """Find the worlds whose emission is a number times the unit drive, shape (worlds,), and set these numbers."""
         alike = joins.copy()
-        unknown = (joins & self._ringing & ~self._known).nonzero()[0]
+        unknown = (joins & self._ringing & ~self._level_known).nonzero()[0]
         if len(unknown) == 0:
             return alike
         emitted = self.state.emission(unknown)
-        units, levels = self._units[unknown], self._held[unknown]
+        units, levels = self._units[unknown], self._stored[unknown]
         new = ~_are(emitted, levels, units)
         if np.logical_or.reduce(new):
             products, powers = np.add.reduce(units.conj() * emitted, axis=1), self._powers[unknown]
@@ -223,7 +223,7 @@ class SmoothSound:
         """Write the emission of the joined worlds at the end of the step, levels of shape (g,), into the state."""
         rings = self._ringing[self.joined]
         worlds, levels = self.joined[rings], end[rings]
-        self.now[worlds] = self._held[worlds] = levels
+        self.now[worlds] = self._stored[worlds] = levels
         if self._alone:
             self._late[worlds] = True
         else:
@@ -233,7 +233,7 @@ class SmoothSound:
         """Write the pending emissions into the state. They may wait if no other code uses the state."""
         worlds = self._late.nonzero()[0]
         self._late[:] = False
-        self.state.set_emission(worlds, self._held[worlds, None] * self._units[worlds])
+        self.state.set_emission(worlds, self._stored[worlds, None] * self._units[worlds])
 
 
 def _are(emitted: Complex, levels: Complex, units: Complex) -> Bool:

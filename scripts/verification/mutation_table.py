@@ -680,7 +680,7 @@ MUTATIONS = (
         "level of the old drive kept in a new pose",
         "emit",
         "palmfield/simulation/smooth_sound.py",
-        "self._known[world] = False\n        return True",
+        "self._level_known[world] = False\n        return True",
         "return True",
         "tests/simulation/test_smooth_sound.py::test_one_level_a_world_is_what_its_transducers_emit",
     ),

@@ -64,7 +64,7 @@ shapes increases with the square, and the least number. On stroke_palm the press
 from sums of these shapes by 4e-4, rms, and those between 16 by 3e-4."""
 SPAN_CLOSER = 4
 """Drives per sample of a load; their linear combinations represent all of its drives."""
-LEFT_OUT = 3e-4
+OMITTED = 3e-4
 """Share of a predicted load that the load shapes may omit; with these shapes it is evaluated at few points."""
 DIGITS = 10
 """Decimal places of drives."""
@@ -166,15 +166,15 @@ def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
     focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[model.sounding].first_focus)
     step_s, inputs = layer.sizes.step_s, layer.quadrature.operator
     reads = layer.surface_operator, layer.probe(focus).operator
-    wanted = step_s, layer.demand.max_frequency_Hz, SHARE * part.spec.config.accuracy
+    targets = step_s, layer.demand.max_frequency_Hz, SHARE * part.spec.config.accuracy
     fresh: list[ReducedStepper] = []
 
     def make() -> cache.Arrays:
         load, examples = known_load(model, skin, posed)
         with one_blas_thread:
-            shapes = load_shapes(examples, layer.quadrature.weights, LEFT_OUT)
+            shapes = load_shapes(examples, layer.quadrature.weights, OMITTED)
         del examples  # a third of a gigabyte
-        fresh.append(reduced_stepper(layer.system, load, *reads, inputs, *wanted, shapes))
+        fresh.append(reduced_stepper(layer.system, load, *reads, inputs, *targets, shapes))
         marks = {"load": np.array(cache.digest(load)), "vectors": np.array(cache.digest(fresh[0].vectors))}
         return marks | {"points": shapes.points, "shares": fresh[0].shares}
 
@@ -182,19 +182,19 @@ def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
     depends_on = (
         *(replace(model.spec, duration_s=0.0), skin, model.response_on, layer.demand, layer.sizes, focus),
         *(arrays.array, arrays.air, arrays.placements, layer.system.made_of, inputs),
-        *(layer.quadrature.weights, [(body.vertices_in_array, body.faces) for body in posed.bodies], *reads, *wanted),
+        *(layer.quadrature.weights, [(body.vertices_in_array, body.faces) for body in posed.bodies], *reads, *targets),
     )
-    known = cache.kept("known-load", depends_on, make)
+    stored = cache.kept("known-load", depends_on, make)
     if fresh:
         return fresh[0]
     small, vectors, error, any_course = known_model(
-        layer.system, str(known["load"]), lambda: known_load(model, skin, posed)[0], *reads, *wanted
+        layer.system, str(stored["load"]), lambda: known_load(model, skin, posed)[0], *reads, *targets
     )
-    if cache.digest(vectors) != str(known["vectors"]):
+    if cache.digest(vectors) != str(stored["vectors"]):
         # The vectors were recomputed, perhaps on another machine, so the stored shares do not belong to them
         make()
         return fresh[0]
-    return ReducedStepper(small, vectors, known["shares"], known["points"], step_s, error, any_course)
+    return ReducedStepper(small, vectors, stored["shares"], stored["points"], step_s, error, any_course)
 
 
 def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float32]:
@@ -232,10 +232,10 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     waves[:, 1:] *= 2.0
     frequencies = np.arange(waves.shape[1]) / turn
     size = np.linalg.norm(waves, axis=0)
-    kept = size > SMALLEST * size.max()
+    strong = size > SMALLEST * size.max()
     # Samples begin at `skip`, but the load is needed from the start of the sound
     shift = np.exp(2j * np.pi * frequencies * skip * turn / count)
-    frequencies, waves = frequencies[kept], (waves * shift)[:, kept]
+    frequencies, waves = frequencies[strong], (waves * shift)[:, strong]
     # The ARP is proportional to the square of the emission.
     g = float(stimulus.response.pole.damping.min()) if model.response_on else math.inf
     begin: Fade = ((0.0, 1.0), (g, -2.0), (2.0 * g, 1.0)) if model.response_on else ((0.0, 1.0),)
