@@ -20,6 +20,7 @@ import numpy as np
 import xarray as xr
 from rich.progress import Progress
 
+from palmfield.device import resolve
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.interrupts import interrupts_delayed
 from palmfield.outputs.schema import MUJOCO_SCENE, group
@@ -327,7 +328,8 @@ def second_process_draws() -> Iterator[None]:
     For programs that own their process; without effect if it cannot be copied, or has loaded them already.
     """
     with suppress(OSError):
-        if possible(DRAWING):
+        # CUDA does not support copies of a process that has initialised it
+        if resolve() == "cpu" and possible(DRAWING):
             _second.append(SecondProcess(DRAWING, _draw_for_first))
     try:
         yield
