@@ -5,9 +5,12 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.markers import TICKLEFT
+from matplotlib.ticker import NullLocator
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.metrics.spectra import amplitude_spectrum, spectral_peaks
@@ -21,6 +24,7 @@ from palmfield.types import Float
 
 DPI = 150
 NARROW = 1.5
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 SIDE_LOBES = 0.5
 """Exponent of the colours of pressure: a side lobe of -13 dB is 0.22 of the peak, and its ARP 0.05."""
 
@@ -204,8 +208,27 @@ def _draw_spectra(axes: Any, time_s: Float, motion: Any) -> None:
         text, above = f"{at:.4g} Hz\n{_number(height * 1e6)} µm", (0, 30 if lifted else 6)
         axes.annotate(text, (at, height * 1e6), above, textcoords="offset points", ha="center", fontsize=8)
     axes.set(xlim=(0, min(last, frequency[-1])), ylim=(top * 1e-4, top * 40))
+    _lighten_log_axis(axes)
     axes.set(xlabel="frequency [Hz]", ylabel="amplitude [µm]")
     axes.set_title(f"Amplitude spectrum (single-sided, Hann window, DC excluded, bins of {frequency[0]:.3g} Hz)")
+
+
+def _lighten_log_axis(axes: Any) -> None:
+    """Draw the minor ticks of a logarithmic y axis as one line, and its powers of ten without the parser of formulas.
+
+    The picture then takes a third less time.
+    """
+    low, high = axes.get_ylim()
+    decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
+    minor = np.outer(decades, np.arange(2, 10)).ravel()
+    minor = minor[(minor >= low) & (minor <= high)]
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(lambda value, _: "10" + str(round(np.log10(value))).translate(RAISED))
+    axes.plot(
+        np.zeros(len(minor)), minor, ls="", marker=TICKLEFT, ms=mpl.rcParams["ytick.minor.size"],
+        mew=mpl.rcParams["ytick.minor.width"], color=mpl.rcParams["ytick.color"],
+        transform=axes.get_yaxis_transform(), clip_on=False,
+    )  # fmt: skip
 
 
 def _number(value: float) -> str:
