@@ -4,8 +4,7 @@
 
 Each case runs a command in its own process until it begins a phase (`palmfield.phases`), waits a little, and sends
 SIGINT. The table has the time to the end of the process, its exit code, files that cannot be read under their final
-names (results, pictures, USD, entries of the cache, kernels), and whether the partial results can be read. The
-processor time from SIGINT to the end, of all threads, shows which waits are due to other processes. "empty"
+names (results, pictures, USD, entries of the cache, kernels), and whether the partial results can be read. "empty"
 begins without results in the cache, moment `compile` also without kernels; "full" begins with those of a whole run.
 Files with temporary names (*.part, Warp's folders) are not counted: palmfield removes old ones.
 """
@@ -31,13 +30,12 @@ ROOT = Path(__file__).resolve().parents[2]
 WRAPPED = """
 import os, sys, threading
 from palmfield import phases
+from palmfield.profile import Profile
 
-class Marker:
+class Marker(Profile):
     def begin(self, name):
-        if threading.current_thread() is threading.main_thread() or name == "scene.png":
-            os.write({fd}, (name + chr(10)).encode())
-    def end(self): pass
-    def count(self, *_): pass
+        os.write({fd}, (name + chr(10)).encode())
+        super().begin(name)
 
 phases.running.append(Marker())
 from palmfield.cli.app import start
@@ -73,18 +71,15 @@ MOMENTS = {
     "steps": Moment("stepping", 0.03),
     "estimate": Moment("error estimate", 0.2),
     "result file": Moment("result file", 0.02),
-    "pictures": Moment("plots", 0.15),
-    "rays": Moment("scene.png", 0.3),
-    "USD": Moment("USD", 0.1),
+    "pictures, begin": Moment("second process", 0.1),
+    "pictures and USD": Moment("second process", 0.6),
 }
 
 
 class Ended(NamedTuple):
-    """How a case ended. seconds, cpu_s: wall and processor time from SIGINT to the end [s], None if the process ended
-    before the moment"""
+    """How a case ended. seconds: from SIGINT to the end [s], None if the process ended before the moment"""
 
     seconds: float | None
-    cpu_s: float | None
     code: int
     half: list[str]
     partial: str
@@ -107,26 +102,19 @@ def case(scene: str, moment: Moment, caches: Path, folder: Path) -> Ended:
         os.close(write)
         with os.fdopen(read) as marks:
             reached = not moment.phase or any(line.rstrip("\n") == moment.phase for line in marks)
-            seconds, cpu = None, None
+            seconds = None
             if reached:
                 time.sleep(moment.after_s)
-                before, began = cpu_of(child.pid), time.perf_counter()
-                if before is not None:
-                    child.send_signal(signal.SIGINT)
-            _, status, used = os.wait4(child.pid, 0)
-            child.returncode = os.waitstatus_to_exitcode(status)
-            if reached and before is not None:
-                seconds, cpu = time.perf_counter() - began, used.ru_utime + used.ru_stime - before
+            if reached and child.poll() is None:
+                began = time.perf_counter()
+                child.send_signal(signal.SIGINT)
+                child.wait()
+                seconds = time.perf_counter() - began
+            child.wait()
         errors.seek(0)
         lines = errors.read().strip().splitlines()
     half = unreadable(out, caches)
-    return Ended(seconds, cpu, child.returncode, half, partial_of(out), lines[-1] if lines else "")
-
-
-def cpu_of(process: int) -> float | None:
-    """Return the processor time of a running process so far [s], None if it has ended."""
-    state, *numbers = Path(f"/proc/{process}/stat").read_text().rpartition(") ")[2].split()
-    return None if state == "Z" else (int(numbers[10]) + int(numbers[11])) / os.sysconf("SC_CLK_TCK")
+    return Ended(seconds, child.returncode, half, partial_of(out), lines[-1] if lines else "")
 
 
 def unreadable(out: Path, caches: Path) -> list[str]:
@@ -220,8 +208,8 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, help="folder for full caches that further calls of this script use")
     options = parser.parse_args()
     print(f"{processor()}, load {os.getloadavg()[0]:.1f}\n")
-    print("| scene | cache | moment | end [s] | CPU [s] | code | unreadable files | results | last line |")
-    print("|---|---|---|---|---|---|---|---|---|", flush=True)
+    print("| scene | cache | moment | end [s] | code | unreadable files | results |")
+    print("|---|---|---|---|---|---|---|", flush=True)
     with tempfile.TemporaryDirectory() as made:
         for scene in options.scenes:
             full = (options.kept or Path(made)) / scene
@@ -237,15 +225,10 @@ def main() -> None:
                             shutil.copytree(full / "kernels", own / "kernels")
                         end = case(scene, MOMENTS[name], own, Path(folder))
                     took = "not reached" if end.seconds is None else f"{end.seconds:.2f}"
-                    cells = (
-                        took,
-                        "" if end.cpu_s is None else f"{end.cpu_s:.2f}",
-                        end.code,
-                        "; ".join(end.half) or "none",
-                        end.partial,
-                        end.said[-90:],
-                    )
+                    cells = took, end.code, "; ".join(end.half) or "none", end.partial
                     print(f"| {scene} | {cache} | {name} | " + " | ".join(map(str, cells)) + " |", flush=True)
+                    if end.code not in (0, 130):
+                        print(end.said, file=sys.stderr)
 
 
 if __name__ == "__main__":
