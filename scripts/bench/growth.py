@@ -4,8 +4,9 @@
 
 Each point runs the scene in its own process, on one thread, without a cache of results: one with key `accuracy`, others
 with key `patch_radius_m`. It prints unknowns, processor time of one factorisation, of the reduced model and of the
-error estimate (without kernels), numbers in the factor, and the memory that the run adds to that of the smallest point
-of all. Exponents are slopes of log(cost) over log(unknowns), with their standard errors.
+error estimate (without kernels), numbers in the factor, and the memory that the run adds to that of the imports: up to
+its reduced model, and in all. Exponents are slopes of log(cost) over log(unknowns), with their standard errors. Those
+of the estimate and of the whole memory are for the points whose estimate compares with a coarser mesh.
 """
 
 import argparse
@@ -20,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from palmfield.estimate.cost import compares_with_finer
 from palmfield.types import Float
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,23 +29,34 @@ ACCURACIES = (0.2, 0.119, 0.0707, 0.042, 0.025)
 RADII_M = (0.010, 0.0157, 0.0245, 0.0383, 0.060)
 COSTS = {
     "factor_s": "factor [CPU s]", "fill": "numbers in the factor", "reduced_s": "reduced model [CPU s]",
-    "estimate_s": "estimate [CPU s]", "peak_MiB": "peak memory [MiB]",
+    "model_MiB": "memory of the model [MiB]", "estimate_s": "estimate [CPU s]", "peak_MiB": "memory of all [MiB]",
 }  # fmt: skip
-HEADS = {"accuracy": "accuracy", "radius": "patch radius [m]", "unknowns": "unknowns", **COSTS}
+OF_COARSER = ("estimate_s", "peak_MiB")
+"""Costs whose exponents are for points with a coarser mesh in the estimate."""
+HEADS = {
+    "accuracy": "accuracy",
+    "radius": "patch radius [m]",
+    "rows": "rows of elements",
+    "unknowns": "unknowns",
+    **COSTS,
+}
 
 
 def measured(scene: str, keys: dict[str, float]) -> dict[str, float]:
     """Run a scene with other keys in this process, and return its costs."""
     import palmfield
     from palmfield import profile, threads
+    from palmfield.outputs import schema  # noqa: F401  what a run loads is not its memory
+    from palmfield.session import recorded_run  # noqa: F401
     from palmfield.skin.fem.factor import factorise
     from palmfield.skin.reduction.ritz import shifted
 
     threads.limit(1)
+    imported = profile.peak_bytes()
     with profile.measured() as phases:
         sim = palmfield.Simulation(ROOT / f"mjcf/scenes/{scene}.xml", device="cpu", keys=keys)
         palmfield.run(sim, None, duration_s=0.02, progress=False, plots=[], usd=False)
-    peak_MiB = profile.peak_bytes() / 2**20
+    peak = profile.peak_bytes()
 
     def spent(name: str) -> float:
         """CPU time of the outermost phases of a name without the loading of kernels [s]."""
@@ -51,19 +64,22 @@ def measured(scene: str, keys: dict[str, float]) -> dict[str, float]:
         inside = [path for path in phases.phases if path[-1] == "kernels" and name in path[:-1]]
         return sum(phases.phases[path].cpu_s for path in paths) - sum(phases.phases[path].cpu_s for path in inside)
 
-    system = sim.runtime.model.skins[0].layer.system
+    layer = sim.runtime.model.skins[0].layer
+    system = layer.system
     matrix, order = shifted(system), system.elimination_order()
     factorise(matrix, order)  # loads its kernels
     began = time.process_time()
     factor = factorise(matrix, order)
     factor_s = time.process_time() - began
     return {
+        "rows": len(layer.sizes.depth_fractions) - 1,
         "unknowns": system.ndof,
         "factor_s": factor_s,
         "fill": factor.fill,
         "reduced_s": spent("reduced model, modes or full wedge model"),
         "estimate_s": spent("error estimate"),
-        "peak_MiB": peak_MiB,
+        "model_MiB": (phases.phases["preparing",].peak_bytes - imported) / 2**20,
+        "peak_MiB": (peak - imported) / 2**20,
     }
 
 
@@ -86,12 +102,14 @@ def slope(x: Float, y: Float) -> tuple[float, float]:
     return float(value), float(np.sqrt(covariance[0, 0]))
 
 
-def exponents(points: list[dict[str, float]], least_MiB: float) -> dict[str, tuple[float, float]]:
-    """Return slope and standard error of each cost over the unknowns; of memory without that of a small scene."""
-    unknowns = np.array([one["unknowns"] for one in points])
-    result = {name: slope(unknowns, np.array([one[name] for one in points])) for name in COSTS if name != "peak_MiB"}
-    added = np.array([one["peak_MiB"] for one in points]) - least_MiB
-    return result | {"peak_MiB": slope(unknowns[added > 0], added[added > 0])}
+def exponents(points: list[dict[str, Any]]) -> dict[str, tuple[float, float]]:
+    """Return slope and standard error of each cost over the unknowns; without those of fewer than 4 points."""
+    result = {}
+    for name in COSTS:
+        chosen = [one for one in points if name not in OF_COARSER or not compares_with_finer(one["unknowns"])]
+        if len(chosen) > 3:
+            result[name] = slope(*(np.array([one[key] for one in chosen]) for key in ("unknowns", name)))
+    return result
 
 
 def draw(series: dict[str, list[dict[str, float]]], path: Path) -> None:
@@ -101,19 +119,22 @@ def draw(series: dict[str, list[dict[str, float]]], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(figsize=(6.4, 4.4), layout="constrained")
+    figure, axes = pyplot.subplots(figsize=(8.6, 4.0), layout="constrained")
     marks = {"accuracy": "o", "radius": "s"}
     for colour, name in zip(("C0", "C1", "C2"), ("factor_s", "reduced_s", "estimate_s"), strict=True):
         for kind, points in series.items():
             x, y = ([one[key] for one in points] for key in ("unknowns", name))
             line = "-" if kind == "accuracy" else "--"
-            axes.loglog(x, y, line, color=colour, marker=marks[kind], label=f"{COSTS[name]}, by {kind}")
-    n = np.array([4e3, 5e4])
-    axes.loglog(n, 2e-8 * n**1.5, ":", color="0.4", label="slope 1.5 (flat layer)")
-    axes.loglog(n, 5e-11 * n**2, "-.", color="0.4", label="slope 2 (cube)")
+            axes.loglog(
+                x, y, line, color=colour, marker=marks[kind], label=f"{COSTS[name].partition(' [')[0]}, by {kind}"
+            )
+    n, first = np.array([4e3, 5e4]), series["radius"][0]
+    for power, line, body in ((1.5, ":", "flat layer"), (2.0, "-.", "cube")):
+        scale = first["factor_s"] * (n / first["unknowns"]) ** power
+        axes.loglog(n, scale, line, color="0.4", label=f"factor, slope {power:g} ({body})")
     axes.set_xlabel("unknowns of the skin layer")
     axes.set_ylabel("processor time [s]")
-    axes.legend(fontsize="small", frameon=False)
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)
     axes.grid(alpha=0.3, which="both")
     figure.savefig(path, dpi=110)
 
@@ -133,7 +154,6 @@ def main() -> None:
     print(f"{processor()}, one thread, median of {options.times}\n\n| " + " | ".join(HEADS.values()) + " |")
     print("|---" * len(HEADS) + "|", flush=True)
     series: dict[str, list[dict[str, Any]]] = {"accuracy": [], "radius": []}
-    plain = point(options.scene, {"skin.accuracy": 0.5, "skin.patch_radius_m": 0.010}, 1)
     for kind, values in (("accuracy", ACCURACIES), ("radius", RADII_M)):
         for value in values:
             key = "skin.accuracy" if kind == "accuracy" else "skin.patch_radius_m"
@@ -141,10 +161,11 @@ def main() -> None:
             series[kind].append(one | {kind: value})
             cells = (f"{series[kind][-1][name]:.3g}" if name in series[kind][-1] else "" for name in HEADS)
             print("| " + " | ".join(cells) + " |", flush=True)
-    print(f"\nmemory of a small scene: {plain['peak_MiB']:.0f} MiB")
-    for kind, points in series.items():
-        found = exponents(points, plain["peak_MiB"])
+    print()
+    for kind, points in (series | {"both": series["accuracy"] + series["radius"]}).items():
+        found = exponents(points)
         print(f"by {kind}: " + ", ".join(f"{COSTS[name]} {a:.2f} +- {b:.2f}" for name, (a, b) in found.items()))
+    for kind, points in series.items():
         at, unknowns = (np.array([one[name] for one in points]) for name in (kind, "unknowns"))
         print(f"unknowns over {kind}: {slope(at, unknowns)[0]:.2f} +- {slope(at, unknowns)[1]:.2f}")
     if options.picture is not None:
