@@ -1,10 +1,13 @@
-"""Delay Ctrl-C to points at which the state is consistent."""
+"""Delay Ctrl-C to points at which the state is consistent, and leave long calls of native code at once."""
 
 import signal
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from types import FrameType, TracebackType
-from typing import ClassVar
+from typing import ClassVar, TypeVar
+
+T = TypeVar("T")
 
 
 class interrupts_delayed:
@@ -58,3 +61,23 @@ class interrupts_delayed:
 
 def _nothing() -> None:
     """Do nothing, because Ctrl-C is not delayed."""
+
+
+def left_by_interrupts(work: Callable[[], T]) -> T:
+    """Return the result of a function of long native calls, such as an eigenproblem, done in another thread.
+
+    Ctrl-C ends the wait at once; the thread then does its present call to the end, and its result is dropped. Python
+    cannot raise KeyboardInterrupt in such a call. In other threads than the main one the function is simply called.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return work()
+    done: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:
+            done.set_exception(error)
+
+    threading.Thread(target=run, name="palmfield-native", daemon=True).start()
+    return done.result()

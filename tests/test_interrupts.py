@@ -1,9 +1,12 @@
+import os
 import signal
 import threading
+import time
 
+import numpy as np
 import pytest
 
-from palmfield.interrupts import interrupts_delayed
+from palmfield.interrupts import interrupts_delayed, left_by_interrupts
 
 
 @pytest.fixture(autouse=True)
@@ -85,3 +88,33 @@ def test_a_process_that_ignores_ctrl_c_still_does():
         signal.raise_signal(signal.SIGINT)
         check()
     assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+
+
+def test_a_long_native_call_is_left_at_once():
+    matrix = np.random.default_rng(0).standard_normal((1500, 1500))
+    ended = []
+
+    def work():
+        found = np.linalg.eigvalsh(matrix @ matrix.T)
+        ended.append(time.perf_counter())
+        return found
+
+    plain = left_by_interrupts(work)
+    np.testing.assert_array_equal(plain, np.linalg.eigvalsh(matrix @ matrix.T))
+    ended.clear()
+    threading.Timer(0.02, os.kill, [os.getpid(), signal.SIGINT]).start()
+    with pytest.raises(KeyboardInterrupt):
+        left_by_interrupts(work)
+    assert not ended
+    while not ended:
+        time.sleep(0.01)
+
+
+def test_its_errors_are_raised_and_other_threads_do_it_themselves():
+    with pytest.raises(ZeroDivisionError):
+        left_by_interrupts(lambda: 1 / 0)
+    names = []
+    thread = threading.Thread(target=lambda: left_by_interrupts(lambda: names.append(threading.current_thread())))
+    thread.start()
+    thread.join()
+    assert names == [thread]

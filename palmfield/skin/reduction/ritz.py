@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg, sparse
 
+from palmfield.interrupts import left_by_interrupts
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.materials.material import Material
 from palmfield.skin.reduction.load_shapes import in_gap
@@ -155,7 +156,7 @@ def ritz_modes(
     def solve(order: int) -> None:
         pairs[order] = np.linalg.eigh(total[:order, :order])
 
-    share([(partial(solve, order),) for order in ends[-2:]], cores())
+    left_by_interrupts(lambda: share([(partial(solve, order),) for order in ends[-2:]], cores()))
     for order in ends[-2:]:
         values, turn = pairs.pop(order)
         kept = values < (2.0 * np.pi * HIGHEST_Hz) ** 2
@@ -267,7 +268,7 @@ def _turned(
     space: Float, total: Float, matrices: Sequence[Float], means: Float, materials: Sequence[Material]
 ) -> tuple[_Modes, Float]:
     """Modes of a sum of stiffnesses in orthonormal sums of vectors, space (n, r), and the same turned to them."""
-    values, inner = np.linalg.eigh(space.T @ total @ space)
+    values, inner = left_by_interrupts(lambda: np.linalg.eigh(space.T @ total @ space))
     turn = space @ inner
     return _Modes(values, [turn.T @ matrix @ turn for matrix in matrices], means, materials), turn
 
@@ -317,7 +318,7 @@ def _strongest(gram: Float, rigidities: Float, omitted: float) -> Float:
     omitted: share of the motion in the energy norm, over loads and spectrum
     """
     size = np.sqrt(rigidities.sum(axis=0) + (2.0 * np.pi * RATE_Hz) ** 2)
-    values, vectors = np.linalg.eigh(gram * np.outer(size, size))
+    values, vectors = left_by_interrupts(lambda: np.linalg.eigh(gram * np.outer(size, size)))
     count = int((np.cumsum(values) > omitted**2 * values.sum()).sum())
     count = in_gap(np.sqrt(np.maximum(values[::-1], 0.0)), count)
     return np.linalg.qr(vectors[:, len(values) - count :] / size[:, None])[0]
