@@ -203,11 +203,11 @@ class SmoothSound:
             return levels, self.now
         # All worlds have the same arrays and so the same transducers
         stepper = self.models[ringing[0]].stimuli[0].response.stepper
-        if len(levels) == 1 and stepper.tuned:
+        if len(levels) > 1 or not stepper.tuned:
+            rung, end = ring(self.now, levels.T, moments, stepper)
+        else:
             one, last = ring(complex(self.now[0]), levels[0], moments, stepper)
             rung, end = one[:, None], np.array([last])
-        else:
-            rung, end = ring(self.now, levels.T, moments, stepper)
         silent = ~np.logical_or.reduce(levels, axis=1) & (np.abs(self.now) * self._peaks < SILENT)
         rung *= np.abs(rung) * self._peaks >= SILENT
         levels[ringing] = rung.T[ringing]
