@@ -4,14 +4,13 @@
     python scripts/bench/sweep.py --sample 64 [--profile FILE]
 
 The points are Sobol points of `palm_am200`: a focus within 10 mm, the modulation depth, 50 to 300 Hz. The first form
-runs the sweep and prints wall and processor time of the command with its workers. The second computes a sample in this
-process, in batches as a worker does, and prints processor times, and the time of all points estimated from them: the
-first batch once for each worker, the others per point. Modes come from the cache, or are made in the first batch.
+runs the sweep with its workers and prints the wall time; modes are in the cache, or made by the first worker. The
+second computes a sample in this process, in batches as a worker does, and prints processor times, and the time of all
+points estimated from them: the first batch, which loads or makes the modes, once for each worker, the others per point.
 """
 
 import argparse
 import cProfile
-import os
 import tempfile
 import time
 from pathlib import Path
@@ -36,21 +35,15 @@ RANGES = {
 }
 
 
-def cpu_s() -> float:
-    """Return the processor time of this process and its ended children [s]."""
-    times = os.times()
-    return times.user + times.system + times.children_user + times.children_system
-
-
 def sample(design: sweeps.Design, count: int, workers: int, profile: Path | None) -> None:
     """Compute `count` points as one worker does, and print what all points would take on `workers` cores."""
-    marks = [cpu_s()]
+    marks = [time.process_time()]
     keys = scene_keys(SCENE, design, {})
     view = overview(SCENE, design, keys, device=None, accuracy=None, duration_s=DURATION_S)
     groups = groups_of(SCENE, design, keys, None, None)
     points = _Points(range(design.count), groups, design, keys, MOST_IN_BATCH)
     task = Task(SCENE, None, None, DURATION_S, view.times, False, 1)
-    marks.append(cpu_s())
+    marks.append(time.process_time())
     print(f"groups: {len(groups)}, {marks[1] - marks[0]:.1f} CPU s")
     numbers = [number for batch in points.batches(workers) for number in batch.points][:count]
     size = len(points.batches(workers)[0].points)
@@ -65,7 +58,7 @@ def sample(design: sweeps.Design, count: int, workers: int, profile: Path | None
         for number, result in zip(part, results, strict=True):
             if isinstance(result, Failed):
                 raise SystemExit(f"point {number}: {result.reason}")
-        marks.append(cpu_s())
+        marks.append(time.process_time())
         print(f"batch of {len(part)}: {marks[-1] - marks[-2]:.2f} CPU s", flush=True)
     if profile:
         profiler.dump_stats(profile)
@@ -87,10 +80,10 @@ def main() -> None:
         sample(design, options.sample, options.workers, options.profile)
         return
     with tempfile.TemporaryDirectory() as out:
-        began, before = time.perf_counter(), cpu_s()
+        began = time.perf_counter()
         done = sweeps.sweep(SCENE, design, out, workers=options.workers, duration_s=DURATION_S, yes=True)
         wall = time.perf_counter() - began
-    print(f"{done.done} of {done.points} points in {wall:.0f} s, {cpu_s() - before:.0f} CPU s")
+    print(f"{done.done} of {done.points} points in {wall:.0f} s")
 
 
 if __name__ == "__main__":
