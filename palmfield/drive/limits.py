@@ -68,13 +68,12 @@ class SoundLimits:
         duty = _duty(stretches, duration_s)
         if self.on_time_s is not None and on_s > self.on_time_s * (1.0 + 1e-9):
             raise DeviceError(
-                f"the play has {on_s:.4g} s of sound; driver key on_time_s allows {self.on_time_s:g} s: play "
-                f"for a "
+                f"the play has {on_s:.4g} s of sound; limit on_time_s allows {self.on_time_s:g} s: play for a "
                 "shorter time (--duration), or set on_time_s larger"
             )
         if duty > self.duty * (1.0 + 1e-9):
             raise DeviceError(
-                f"the play has sound in {100 * duty:.3g} % of {min(WINDOW_S, duration_s):g} s; driver key "
+                f"the play has sound in {100 * duty:.3g} % of {min(WINDOW_S, duration_s):g} s; limit "
                 f"duty_limit allows {100 * self.duty:.3g} %: add pauses (stop_s, bursts), or set duty_limit larger"
             )
         return on_s, duty

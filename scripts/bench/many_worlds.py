@@ -28,7 +28,7 @@ from palmfield.threads import cores
 PARTS = (
     (SceneWorlds, "_begin", "MuJoCo, poses, sound and forces"),
     (SceneWorlds, "_each", "  MuJoCo"),
-    (ManyData, "take", "  poses taken"),
+    (ManyData, "gather", "  poses read"),
     (MovingWorlds, "place", "  frames taken in"),
     (MovingWorlds, "emit", "  foci and levels"),
     (MovingWorlds, "press", "  waited for sound and skins"),

@@ -28,9 +28,9 @@ def test_ramps_have_as_many_steps_as_the_board_takes():
 def test_more_than_is_allowed_is_refused():
     times, sounds = [0.0, 1.0, 2.0], [True, False, True]
     assert SoundLimits().check(times, sounds, 4.0) == pytest.approx((3.0, 0.75))
-    with pytest.raises(DeviceError, match=r"has 3 s of sound; driver key on_time_s allows 2\.5"):
+    with pytest.raises(DeviceError, match=r"has 3 s of sound; limit on_time_s allows 2\.5"):
         SoundLimits(on_time_s=2.5).check(times, sounds, 4.0)
-    with pytest.raises(DeviceError, match="has sound in 75 % of 4 s; driver key duty_limit allows 50 %"):
+    with pytest.raises(DeviceError, match="has sound in 75 % of 4 s; limit duty_limit allows 50 %"):
         SoundLimits(duty=0.5).check(times, sounds, 4.0)
     assert SoundLimits(on_time_s=3.0, duty=0.75).check(times, sounds, 4.0)
     assert SoundLimits().check([], [], 1.0) == (0, 0.0)

@@ -37,9 +37,9 @@ def test_what_was_sent_is_sent_again(recorded):
 
 def test_what_sounds_too_long_or_too_often_is_refused_before_a_port_is_opened(recorded):
     for path in recorded:
-        with pytest.raises(palmfield.DeviceError, match=r"driver key on_time_s allows 0\.01"):
+        with pytest.raises(palmfield.DeviceError, match=r"limit on_time_s allows 0\.01"):
             replay(path, NOWHERE, "sonicsurface", keys={"driver.on_time_s": "0.01"})
-        with pytest.raises(palmfield.DeviceError, match="driver key duty_limit allows 50 %"):
+        with pytest.raises(palmfield.DeviceError, match="limit duty_limit allows 50 %"):
             replay(path, NOWHERE, "sonicsurface", keys={"driver.duty_limit": "0.5"})
     with pytest.raises(palmfield.DeviceError, match="cannot open /dev/no_such_port"):
         replay(recorded[0], NOWHERE, keys={"driver.on_time_s": "5"})
@@ -52,7 +52,7 @@ def test_a_log_knows_the_limits_of_its_scene(tmp_path):
     for n in range(11):
         log.add(0.1 * n, board.encode(np.ones(256)))
     log.close()
-    with pytest.raises(palmfield.DeviceError, match=r"the play has 1 s of sound; driver key on_time_s allows 0\.1"):
+    with pytest.raises(palmfield.DeviceError, match=r"the play has 1 s of sound; limit on_time_s allows 0\.1"):
         replay(path, NOWHERE)
     with pytest.raises(palmfield.DeviceError, match="cannot open"):
         replay(path, NOWHERE, keys={"driver.on_time_s": "2"})

@@ -13,7 +13,7 @@ from palmfield.simulation.backend import Frames, StepTrace
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.posed_scene import PosedScene, posed_scene
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.sensors import SkinReading, channels
+from palmfield.simulation.sensors import SkinReading, skin_reading
 from palmfield.simulation.step import Steps
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.focal_points import FocalPoints
@@ -30,7 +30,7 @@ from palmfield.stimulus.schedule import Moments
         (Radiation.on, {PosedScene}, {SurfaceSound}),
         (Radiation.patterns, {PosedScene, EmittedCourse}, set()),
         (SkinStepper.step, {SurfaceLoads, Reader}, set()),
-        (channels, {SkinReading}, set()),
+        (skin_reading, set(), {SkinReading}),
         (Steps.begin, {Frames}, set()),
     ],
 )
