@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -86,14 +86,12 @@ def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
     return SensorPlace(probe, skin.carrier.bind(probe.closest))
 
 
-def skin_reading(force: Float, motion: Float, arp: Any) -> SkinReading:
+def skin_reading(force: Float, motion: Float, arp: Float) -> SkinReading:
     """Make the reading at the place of a sensor, for one world or for several; only this function fills the fields.
 
     force: on the body [N], shape (3,); motion: displacement [m] and velocity [m/s], shape (2,); arp: [Pa]
     """
-    x, y, z = force
-    displacement, velocity = motion
-    return SkinReading(x, y, z, displacement, velocity, arp)
+    return SkinReading._make((*force, *motion, arp))
 
 
 def channels(forces: Float, motions: Float, arps: Float) -> Float:
