@@ -776,8 +776,8 @@ MUTATIONS = (
         "velocity for displacement",
         "sense",
         "palmfield/simulation/sensors.py",
-        "displacement, velocity = motion",
-        "velocity, displacement = motion",
+        "SkinReading._make((*force, *motion, arp))",
+        "SkinReading._make((*force, *motion[::-1], arp))",
         "tests/engine/test_plugins.py::test_sensor_reads_force_and_motion",
     ),
     Mutation(
