@@ -1,4 +1,4 @@
-"""The GPU against the CPU and the float64 twin: error and speed of the field, and the main example on both.
+"""Compare the GPU with the CPU and with the float64 twin: error and speed of the field.
 
     python scripts/check_gpu.py [--out docs/bench/gpu.md] [--commit HASH]
 
@@ -12,22 +12,18 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import warp as wp
 
-import palmfield
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.field import MODES, FieldEvaluator
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.device import resolve
-from palmfield.engine.register import register
 from palmfield.types import Air
 
 eight = wp.types.vector(length=8, dtype=wp.float32)
 ROOT = Path(__file__).resolve().parents[1]
-SCENE = ROOT / "mjcf" / "scenes" / "palm_am200.xml"
 
 
 def field_rows(device: str) -> list[str]:
@@ -163,23 +159,11 @@ def kernel_rows(device: str, rate: float) -> list[str]:
     return rows
 
 
-def sensor(device: str, steps: int = 20) -> tuple[np.ndarray, float]:
-    sim = palmfield.Simulation(SCENE, device=device)
-    sim.step()
-    start = time.perf_counter()
-    sim.step(steps - 1)
-    seconds = (time.perf_counter() - start) / (steps - 1)
-    mujoco.mj_forward(sim.model, sim.data)
-    palmfield.raise_errors(sim.data)
-    return sim.data.sensordata.copy(), seconds
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--commit", default="unknown", help="what the table says was measured")
     arguments = parser.parse_args()
-    register()
     device = resolve("cuda:0")
     rate = issue_rate(device)
     lines = [
@@ -202,16 +186,6 @@ def main() -> None:
         "| distance | mode | result | T pairs/s | share of the ceiling | error |",
         "|---|---|---|---|---|---|",
         *kernel_rows(device, rate),
-        "",
-        "## The main example",
-        "",
-    ]
-    (gpu, gpu_s), (cpu, cpu_s) = sensor(device), sensor("cpu")
-    difference = np.abs(gpu - cpu) / np.maximum(np.abs(cpu), 1e-12)
-    lines += [
-        "`palm_am200` ran for 20 ms in plain `mj_step`, with the skin on the CPU and the field on either device. "
-        f"Force and displacement differ by at most {difference[2:4].max():.1e}. A step of 1 ms takes "
-        f"{1e3 * gpu_s:.1f} ms with the field on the GPU and {1e3 * cpu_s:.1f} ms with the field on the CPU.",
     ]
     text = "\n".join(lines) + "\n"
     print(text)

@@ -46,7 +46,7 @@ Weights = tuple[float, float, float]
 class Transfer:
     """Transfer matrix from all transducers to fixed points: pressure, and gradient along the surface and its normal.
 
-    evaluator: array, air, absorption and device, in mode "fast", since the matrix is computed in float32.
+    evaluator: gives array, air, absorption and device. Its mode must be "fast", since the matrix is in float32.
     points: [m], array frame, shape (n, 3). normals: unit outward, shape (n, 3), of opaque surfaces, see `arp_frames`.
     It takes 32 bytes per transducer and point. Raises PalmfieldError for an evaluator of mode "accurate", for bad
     points or normals, for points too far apart (see CUBIC_REACH_Np), and for more than `memory_limit`.

@@ -285,8 +285,8 @@ class StimulusConfig(Config):
         count = width / self.path_step_m
         if round(count) < 1 or abs(count - round(count)) > STEPS * count:
             raise ValueError(
-                f"path_step_m is {self.path_step_m:g}, and path_width_m {width:g} is {count:g} such steps; "
-                f"allowed: a whole number of steps, for example {width / max(1, round(count)):g}"
+                f"path_width_m {width:g} must be a whole number of steps of path_step_m {self.path_step_m:g}, but it "
+                f"is {count:g} steps; for example, set path_step_m to {width / max(1, round(count)):g}"
             )
 
     def _check_modulation(self) -> None:

@@ -400,7 +400,7 @@ def check(
     able = instead()
     mends = [f"board {', '.join(able[:-1]) + ' or ' * (len(able) > 1)}{able[-1]}"] if able else []
     if needs_amplitude:
-        gives += f", so on/off AM up to {board.max_frame_rate_Hz / 2:.1f} Hz"
+        gives += f", which allows on/off AM up to {board.max_frame_rate_Hz / 2:.1f} Hz"
         mends.append(plainly)
         if "dither" in board.keys:
             mends.append("dither")

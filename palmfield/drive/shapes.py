@@ -47,8 +47,9 @@ def twin_trap(array: Array, air: Air, point: ArrayLike, azimuth_rad: float = 0.0
 def vortex(array: Array, air: Air, point: ArrayLike, order: int = 1) -> Complex:
     """Focus whose phase winds `order` times round the axis of the beam: a dark core in a ring of sound.
 
-    A positive order is later sound at larger azimuth, counted from x towards y. High orders on a coarse board alias:
-    within a few millimetres of the axis other orders, left by the square outline of the board, are louder.
+    For a positive order, the phase delay of the sound increases with the azimuth, which is counted from x towards y.
+    On a coarse board, high orders suffer from aliasing: the square outline of the board also produces other orders,
+    which are louder within a few millimetres of the axis.
 
     point: the focus [m], array frame, shape (3,)
     Returns complex amplitudes, shape (len(array),).

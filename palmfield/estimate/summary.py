@@ -133,15 +133,16 @@ def stimulus_numbers(
     peak_drive: Float | None = None,
     turns: Iterable[PhaseTurns] = (),
 ) -> dict[str, dict[str, Any]]:
-    """Return for each stimulus, by name: `drive_level`, the largest transducer amplitude at the skins' loudest moments.
+    """Return the numbers of each stimulus, by its name.
 
-    It is relative to full drive. If all transducers follow one time course, it is the level at full modulation,
-    without ramp and bursts; else (several stimuli, a moving focus with ring-up) it is the emitted amplitude. If no
-    sound reached any skin, it is the commanded drive, since the sound may have missed the skins.
+    `drive_level` is the largest amplitude of its transducers, relative to full drive, at the moment when the ARP on a
+    skin is largest. If all transducers follow one time course, it is the level at full modulation, without ramp and
+    bursts. Otherwise (several stimuli, a moving focus with ring-up) it is the emitted amplitude. If no sound reached
+    any skin, it is the commanded drive, since the sound may have missed the skins.
 
     peak_drive: largest commanded amplitude of each transducer in the run, shape (N,); 0 by default.
-    turns: times of the phase jumps of each stimulus; a stimulus with several foci has `phase_turns` (number) and
-    `phase_turn_times_s` [s].
+    turns: times of the phase jumps of each stimulus [s]. For a stimulus with several foci, the result also has their
+    number, `phase_turns`, and their times, `phase_turn_times_s` [s].
     """
     model = simulation.runtime.model
     moments = list(loudest)

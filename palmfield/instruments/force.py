@@ -162,7 +162,8 @@ class Scale(Settings):
 def scale_reading(times_s: ArrayLike, force_N: ArrayLike, settings: Scale) -> Float:
     """Return the reading of a scale over time [N], shape (t,), for a force, shape (t, 3), as in /forces of a result.
 
-    The pole is exact for a force that is linear between samples. Raises MeasurementError for a direction of length 0.
+    The first-order response of the scale (`time_constant_s`) is integrated exactly if the force is linear between
+    samples. Raises MeasurementError for a direction of length 0.
     """
     times, force = trace(times_s, force_N)
     direction = np.array(settings.direction)

@@ -27,8 +27,9 @@ def read_trajectory(path: str | Path, hand: ArticulatedHand) -> Curve:
 
     Columns (arrays of one length in an NPZ), in any order: time_s; x_m, y_m, z_m or x_mm, y_mm, z_mm; qw, qx, qy, qz of
     any length; JOINT_deg or JOINT_rad for the joints that leave their rest angle. Two or more rows.
-    Raises SceneError for a file that cannot be read, a missing, unknown or repeated column, and, with line (in an NPZ:
-    row) and column, for text, NaN, times that do not rise, a quaternion of length 0 and a joint out of its range.
+    Raises SceneError for a file that cannot be read and for a missing, unknown or repeated column. For text, NaN, times
+    that do not increase, a quaternion of length 0 and a joint out of its range, the error also names line (NPZ: row)
+    and column.
     """
     file = Path(path)
     columns, places = read_table(file)

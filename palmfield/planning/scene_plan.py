@@ -48,10 +48,10 @@ def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[s
 class Plan:
     """Decisions for a scene.
 
-    left_out: ignored effects, with their bias of the displacement of the skin under the focus; besides: other ignored
-        effects
-    error: expected error of that displacement; seconds: expected wall time of `palmfield run` on two CPU cores,
-        pictures included
+    left_out: effects that are not modelled, with their bias on the skin displacement under the focus
+    besides: other effects that are not modelled
+    error: expected error of the skin displacement under the focus
+    seconds: expected wall time of `palmfield run` on two CPU cores [s], pictures included
     """
 
     scene: str

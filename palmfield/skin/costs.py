@@ -72,9 +72,10 @@ def memory_bytes(layers: Sequence[tuple[float, bool]]) -> int:
 
 @dataclass(frozen=True)
 class Choice:
-    """Predicted cost of a solver: seconds, or the sentence of its refusal (then seconds is infinite).
+    """Predicted cost of a solver.
 
-    Infinite seconds without a refusal: the solver can solve it, but its cost is unknown.
+    seconds: predicted time [s]; infinite if the solver cannot be used, or if its cost is unknown.
+    refusal: the reason why the solver cannot be used; None if it can be used.
     """
 
     name: str

@@ -45,7 +45,9 @@ def burst(
 
 
 def onsets(start_s: float, end_s: float, *, length_s: float, period_s: float, count: int | None = None) -> Float:
-    """Return the rising times [s] in start_s < t <= end_s at which a rectangular `burst` jumps, shape (n,).
+    """Return the times [s], in ascending order, at which a rectangular `burst` is switched; shape (n,).
+
+    Only times with start_s < t <= end_s are returned.
 
     Consecutive bursts without a gap (length_s = period_s) have no jump between them.
     Raises SceneError as `burst` does.

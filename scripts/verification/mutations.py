@@ -18,7 +18,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -330,16 +329,14 @@ def page(outcomes: Sequence[Outcome]) -> str:
         "test must fail with the fault, by its own assertion or by an error of palmfield, and pass without it. "
         f"This holds for {red} of {len(outcomes)} faults. CI runs all of them (`tests/test_mutations.py`).",
         "",
-        "If there is a test of accuracy for a fault, this test is used: it compares with an exact solution, a "
-        "measurement, or an independent float64 code. The other tests are tests of consistency.",
+        "If there is a test of accuracy for a fault, this test is used. A test of accuracy compares with an exact "
+        "solution, a measurement, or an independent float64 code. The other tests are tests of consistency.",
         "",
     ]
-    stages = Counter(one.mutation.stage for one in outcomes)
-    lines += [f"Faults by stage: {', '.join(f'{stage} {count}' for stage, count in stages.items())}.", ""]
     lines += [f"- not found: `{one.mutation.test}`: {one.message}" for one in outcomes if not one.red]
     seconds = sum(one.seconds for one in outcomes)
     load = f"at a load average of {os.getloadavg()[0]:.1f}"
-    message = f"All tests together take {seconds:.0f} s, one process each, {load}."
+    message = f"All tests together take {seconds:.0f} s. Each test ran in its own process, {load}."
     return "\n".join([*lines, message, ""])
 
 

@@ -130,8 +130,9 @@ def page(seed: int, rows: list[dict[str, Any]], out: Path) -> str:
         "",
         f"Commit {commit}. `palmfield.skin.solve` with solver `auto` solved random problems of {len(KINDS)} kinds. The "
         "predicted time is that of `choices` for the chosen solver. The measured time is the processor time of the "
-        f"whole call in one thread, including finer repetitions, stopped after {LONGEST_S:g} s. It is scaled by a "
-        f"yardstick ({YARDSTICK_S:g} s on the machine of the predictions). Other programs "
+        f"whole call in one thread, including finer repetitions, stopped after {LONGEST_S:g} s. It is corrected for "
+        "the speed of the machine, which is measured by a fixed reference computation "
+        f"({YARDSTICK_S:g} s on the machine of the predictions). Other programs "
         f"ran on the machine. Before the measurement, one case of each kind (seed {seed + 1}) was solved to load the "
         "kernels.",
         "",
@@ -139,9 +140,10 @@ def page(seed: int, rows: list[dict[str, Any]], out: Path) -> str:
         f"{within(ratios, 3.0)} within 3, and {within(ratios, 5.0)} within 5. The median of measured / predicted is "
         f"{np.median(ratios):.2f}.**",
         "",
-        "It cannot be predicted how often a solver must refine to reach the target accuracy (up to four solutions; a "
-        "likely second one is in the prediction). Most errors concern wedges and reduced models under a fixed edge "
-        "and on thin sheets, and the search for a bulk modulus on layers (up to 1 s).",
+        "To reach the target accuracy, a solver may refine and solve again, up to four times in all. The number of "
+        "solutions cannot be predicted. The prediction includes a second solution where it is likely. Most wrong "
+        "predictions are for the solvers `wedges` and `reduced` with a fixed edge or on thin sheets. Others are for "
+        "layers whose bulk modulus must be searched for, which takes up to 1 s.",
         "",
         "| solver | cases | within 2 | within 3 | median measured / predicted |",
         "|---|---|---|---|---|",

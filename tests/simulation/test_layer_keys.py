@@ -141,7 +141,7 @@ def test_plan_promises_no_waves_below_the_cut_off(small_scene, skin, promised):
     stimulus = {"am_frequency_Hz": 100}
     scene = load(small_scene(skin=skin, stimulus=stimulus))
     planned = plan(scene)
-    said = [text for text in planned.warnings if "expect no waves at" in text]
+    said = [text for text in planned.warnings if "carries no waves" in text]
     assert bool(said) == (not promised)
     rows = [row for row in planned.besides if row.what == "waves below the cut-off"]
     assert bool(rows) == ("base" not in skin)

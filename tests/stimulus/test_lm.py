@@ -77,9 +77,9 @@ def test_frequencies():
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"path_step_m": "0.003"}, "path_step_m is 0.003, and path_width_m 0.004 is 1.33333 such steps; allowed: a "
-         "whole number of steps, for example 0.004"),
-        ({"path_step_m": "0.01"}, "and path_width_m 0.004 is 0.4 such steps; .* for example 0.004"),
+        ({"path_step_m": "0.003"}, "path_width_m 0.004 must be a whole number of steps of path_step_m 0.003, but it "
+         "is 1.33333 steps; for example, set path_step_m to 0.004"),
+        ({"path_step_m": "0.01"}, "path_step_m 0.01, but it is 0.4 steps; for example, set path_step_m to 0.004"),
         ({"path_step_m": "0.002", "path_points": "4"}, "path_step_m and path_points 4 both set where"),
         ({"path_step_m": "0.002", "path_end": "jump"}, "path_end is 'jump'; allowed with path_step_m: back"),
         ({"path_width_m": ""}, "path 'lm' needs path_width_m"),

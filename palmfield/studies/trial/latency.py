@@ -62,8 +62,8 @@ class Latency:
             f"delay from sending a sample to its sound on a virtual {self.board}: {self.frames} frames in "
             f"{self.seconds:g} s, {100 * LINE_SHARE:.0f} % of the capacity of the line ({self.dropped} dropped), "
             f"{self.samples} samples at {self.rate_Hz:g} per second by {self.by}:",
-            f"median {self.p50_ms:.1f} ms, 95 % {self.p95_ms:.1f} ms, largest {self.largest_ms:.1f} ms, of which "
-            f"{self.line_ms:.1f} ms are a frame on the line",
+            f"median {self.p50_ms:.1f} ms, 95 % {self.p95_ms:.1f} ms, largest {self.largest_ms:.1f} ms; a frame on the "
+            f"line takes {self.line_ms:.1f} ms",
             f"with a tracker latency of {low:g} to {high:g} ms: {self.p95_ms + low:.0f} to "
             f"{self.p95_ms + high:.0f} ms at 95 %; a lag of {1e3 * ALLOWED_S:g} ms is noticeable",
         ]
