@@ -26,7 +26,8 @@ from palmfield.studies.bench.table import processor
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = "mjcf/scenes/palm_am200.xml"
 PHASE = re.compile(r"^│ (\w[^│]*?) +│ +([\d.]+) ", re.MULTILINE)
-TOTAL = "all"
+TOTAL, NEXT_TABLE, SMALL_S = "all", "┃ arrays", 0.1
+"""Last row of the table of phases, head of the table after it, and largest time of phases that are drawn together."""
 FIRST_STEP = "import palmfield; palmfield.Simulation('mjcf/scenes/{}.xml').step()"
 
 
@@ -85,7 +86,8 @@ def run(case: Case, caches: Path, out: Path) -> Run:
     if status:
         raise SystemExit(f"{words}\n{output}")
     shutil.rmtree(out, ignore_errors=True)
-    phases = {name.strip(): float(seconds) for name, seconds in PHASE.findall(output) if name.strip() != TOTAL}
+    rows = PHASE.findall(output.partition(NEXT_TABLE)[0])
+    phases = {name.strip(): float(seconds) for name, seconds in rows if name.strip() != TOTAL}
     return Run(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, phases)
 
 
@@ -113,7 +115,10 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
 
     shown = {name: sorted(own, key=lambda one: one.cpu_s)[len(own) // 2] for name, own in runs.items()}
     shown = {name: one for name, one in shown.items() if one.phases}
-    names = list(dict.fromkeys(phase for one in shown.values() for phase in one.phases))
+    largest: dict[str, float] = {}
+    for one in shown.values():
+        largest |= {name: max(seconds, largest.get(name, 0.0)) for name, seconds in one.phases.items()}
+    names = [name for name, seconds in largest.items() if seconds > SMALL_S]
     figure, axes = pyplot.subplots(figsize=(9.0, 3.6), layout="constrained")
     left = [0.0] * len(shown)
     colours = pyplot.get_cmap("tab20")
@@ -121,6 +126,8 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
         widths = [one.phases.get(phase, 0.0) for one in shown.values()]
         axes.barh(list(shown), widths, left=left, label=phase, color=colours(number % 20))
         left = [begin + width for begin, width in zip(left, widths, strict=True)]
+    rest = [sum(one.phases.values()) - begin for one, begin in zip(shown.values(), left, strict=True)]
+    axes.barh(list(shown), rest, left=left, label="other", color="lightgrey")
     axes.invert_yaxis()
     axes.set_xlabel("processor time [s]")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)
