@@ -7,11 +7,9 @@ import numpy as np
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.small_models import known_load
 from palmfield.stimulus.schedule import frame_at
 from palmfield.types import Complex, Float
-
-DIGITS = 10
-"""Decimal places of a drive."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,7 @@ def at_full_level(loudest: LoudestMoment) -> LoudestMoment:
 
     The drive has no last digits, so that all levels give the same numbers.
     """
-    drive: Complex = np.round(loudest.drive / (float(np.abs(loudest.drive).max()) or 1.0), DIGITS)
+    drive, _ = known_load.at_full_level(loudest.drive)
     return replace(loudest, drive=drive, factor=1.0)
 
 

@@ -214,14 +214,14 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     if one_shape(stimulus):
         loudness = posed.focal_points(stimulus, number).loudness(first_point(config))
         drive = array_drives(model, posed.arrays)[number].unit_drive(stimulus.reference_foci, loudness)
-        pressures = radiation.many(posed, skin, _at_full_level(drive.amplitudes[None])[0])
+        pressures = radiation.many(posed, skin, at_full_level(drive.amplitudes[None])[0])
         shape: Float = operator @ pressures.T
         lines = [0.0, *(main_frequencies(config) or [layer.demand.main_frequency_Hz])]
         spectrum: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
         return KnownLoad(shape, shape, [frames_at(config, start + trial)[1][:, None]], spectrum), pressures
     count = samples(config, turn, layer.demand.max_frequency_Hz)
     skip = math.ceil(_settling_s(stimulus) * count / turn)
-    drives, level_of = _at_full_level(steady_drives(model, number, posed, turn / count, skip, count))
+    drives, level_of = at_full_level(steady_drives(model, number, posed, turn / count, skip, count))
     pressures = radiation.many(posed, skin, drives)
     # The parts of the load need a finer tolerance than its relevant harmonics
     closer = min(max(MOST_EXAMPLES // count, LEAST_CLOSER), CLOSER)
@@ -251,7 +251,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     impulse = np.zeros(len(course.shapes))
     if model.response_on:
         width = _settling_s(stimulus) / BEGINNING
-        drives, _ = _at_full_level(steady_drives(model, number, posed, width, 0, BEGINNING), level_of)
+        drives, _ = at_full_level(steady_drives(model, number, posed, width, 0, BEGINNING), level_of)
         beginning = radiation.many(posed, skin, drives)
         close = steady_drives(model, number, posed, width / BEGIN_CLOSER, 0, BEGIN_CLOSER * BEGINNING)
         examples = np.concatenate([examples, radiation.many(posed, skin, close)])
@@ -322,11 +322,11 @@ def path_drives(model: HapticModel, posed: PosedScene) -> Complex:
     return np.concatenate([emitted, beginning])
 
 
-def _at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Complex, float]:
+def at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Complex, float]:
     """Return drives divided by a level, that of the loudest transducer by default, and the level.
 
     A model is valid for its load at any level. Drives without level and without the last digits give the same cache
     key for all levels.
     """
-    level_of = level_of or float(np.abs(drives).max())
+    level_of = level_of or float(np.abs(drives).max()) or 1.0
     return np.round(drives / level_of, DIGITS), level_of
