@@ -6,7 +6,7 @@ load = Spot(fwhm_m=0.0103, times_s=[0.0, 1e-3], peak_Pa=[0.0, 12.0])
 motion = solve(body, load, times=[0.01, 0.05], at=[[0.0, 0.0]])
 print(motion.displacement_m[:, 0, 2], motion.error)
 
-`solve` computes a whole history. Scenes step the same SkinSteppers, on a SceneLayer.
+`solve` computes a whole history. Scenes use the same SkinSteppers, on a SceneLayer.
 """
 
 import lazy_loader

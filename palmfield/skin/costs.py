@@ -1,10 +1,8 @@
-"""Predict the computing time for a skin on one core, and choose the stepper in scenes from these predictions.
+"""Predict time (on one core) and memory for a skin, and choose the stepper of a scene from these predictions.
 
-This file also predicts the memory of a process that steps the skins of a scene.
-
-Fitted to the layers of shipped scenes on one core of the 2-core machine: factorised in 0.05 to 2.8 s for 1.5 k to 28 k
-unknowns, stepped in 0.27 to 4.9 ms a substep for 1.5 k to 13 k (docs/bench/skin_c0.md has discs). Accuracy: a factor
-of about 1.5.
+The predictions are right to a factor of about 1.5. They are fitted to layers of shipped scenes on one core of the
+2-core machine. Factorisation took 0.05 to 2.8 s for 1.5 k to 28 k unknowns. A substep took 0.27 to 4.9 ms for 1.5 k to
+13 k unknowns (discs: docs/bench/skin_c0.md).
 """
 
 import math
@@ -31,14 +29,14 @@ def factor_s(dofs: float) -> float:
 
 
 def vector_s(dofs: float) -> float:
-    """Return the time of one vector of a reduced model [s]: a solve (factor size as dofs^1.5) and matrix products."""
+    """Return the time of one vector of a reduced model [s]: a solve (proportional to dofs^1.5) and matrix products."""
     return 9e-9 * dofs**1.52
 
 
 def modes_s(dofs: float, modes: float, laws: int = 1) -> float:
-    """Return the time to make general modes [s]: vectors, each orthogonal to all before it, and two eigenproblems.
+    """Return the time to make general modes [s]: orthogonal vectors and two eigenproblems.
 
-    laws: number of relaxation laws; each of several needs products of all vectors, and the motion at some frequencies
+    laws: number of relaxation laws; from two on, each needs products of all vectors, and motion at some frequencies
     """
     together = laws * 5e-10 * dofs * modes**2 + 2.5e-8 * modes**3 if laws > 1 else 0.0
     return factor_s(dofs) + modes * vector_s(dofs) + 5e-10 * dofs * modes**2 + 2e-9 * modes**3 + together
@@ -51,7 +49,7 @@ def modal_step_s(modes: float, laws: int = 1) -> float:
 
 
 def wedges_s(dofs: float, steps: float) -> float:
-    """Return the time to factorise and step the whole layer [s]: two passes over its blocks and matrix products."""
+    """Return the time to factorise and step the whole layer [s]; a step is two passes over blocks and some products."""
     return factor_s(dofs) + steps * (7.5e-9 * dofs**1.4)
 
 
@@ -62,10 +60,10 @@ def reduced_s(dofs: float, steps: float, vectors: float) -> float:
 
 
 def memory_bytes(layers: Sequence[tuple[float, bool]]) -> int:
-    """Return the memory of a process that steps a scene on the CPU, without the stored history of the run.
+    """Return the memory [bytes] of a process that steps a scene on the CPU, without the stored history of the run.
 
     layers: unknowns of each skin, and whether its whole layer is stepped.
-    Fitted to the largest memory of the demo's palm at 5 k, 9 k and 31 k unknowns and of a disc at 13 k, within 5 %.
+    The error is 5 % for the layers of the fit: the palm of the demo at 5 k, 9 k and 31 k unknowns, a disc at 13 k.
     """
     return round(PROCESS_BYTES + sum(17.3e3 * dofs + (64.0 * dofs**1.5 if whole else 0.0) for dofs, whole in layers))
 
@@ -102,17 +100,16 @@ def scene_choices(
 ) -> list[Choice]:
     """Return the solvers that can step the layer of a scene, the cheapest first.
 
-    dofs: unknowns of the layer. substeps: substeps of the whole run. vectors: vectors of a reduced model for its load,
-    about.
-    refusal: why a reduced model is impossible, or None. modes, modal_refusal: the same for general modes.
-    laws: number of relaxation laws of the layer.
+    dofs: unknowns of the layer. substeps: substeps of the whole run.
+    vectors, refusal: approximate number of vectors of a reduced model for the load; why it is impossible, or None.
+    modes, modal_refusal: the same for general modes. laws: number of relaxation laws of the layer.
     cached: whether modes are reused in RUNS runs. None: if there is a cache.
     """
     reduced, modal = Choice("reduced", math.inf, refusal), Choice("modal", math.inf, modal_refusal)
     if refusal is None:
         reduced = Choice("reduced", reduced_s(dofs, substeps, vectors))
     if modal_refusal is None:
-        # Stored on disk, they are reused in later runs
+        # Modes on disk are reused in later runs
         share = 1.0 / RUNS if (cache.folder() is not None if cached is None else cached) else 1.0
         modal = Choice("modal", share * modes_s(dofs, modes, laws) + substeps * modal_step_s(modes, laws))
     return ranked([reduced, modal, Choice("wedges", wedges_s(dofs, substeps))])

@@ -1,7 +1,7 @@
-"""Interface between the layer of a scene and its solver: other code uses it instead of the name of the solver.
+"""Interface between the layer of a scene and its solver. Other code uses this interface, not the name of the solver.
 
-Wedges, modes and reduced models use the mesh of the scene. Explicit elements, particles and the solvers of other
-packages use another mesh below the same face; body, loads and operators are those of the wedges.
+Wedges, modes and reduced models use the mesh of the scene. Spectral elements, particles and the solvers of other
+packages use their own mesh below the same face. Body, loads and operators are always those of the wedges.
 """
 
 import functools
@@ -30,13 +30,12 @@ OWN = {
 class LayerSolver(Protocol):
     """Solver of the layer of a scene before its stepper is made; costly parts are made at first use.
 
-    any_pose, of_class, exact_in_time, factorises: as in its stepper (SkinStepper), available without loading it.
-    own_mesh: whether it has another mesh than the wedges, so that its stepper needs only the layer.
+    any_pose, of_class, exact_in_time, factorises: as in SkinStepper, available without loading the stepper.
+    own_mesh: whether the solver has another mesh than the wedges, so that its stepper needs only the layer.
     large_strain: whether it is valid beyond linear elasticity. preview: whether it is a preview.
-    unknowns: unknowns of its mesh. state_size: numbers of its state, an upper bound. resolution: text about its
-    resolution.
-    expected_error: relative, of the displacement, before any run, or None.
-    steps, sizes_follow: its time steps, and the basis of its sizes, in words.
+    unknowns: number of unknowns of its mesh. state_size: upper bound of the size of its state.
+    expected_error: relative error of the displacement, estimated before any run, or None.
+    resolution, steps, sizes_follow: resolution, time steps and basis of the sizes, in words.
     """
 
     any_pose: bool = True
@@ -65,16 +64,17 @@ class LayerSolver(Protocol):
     def refuse(self) -> None:
         """Raise SceneError, with value and allowed values, for a layer that the solver cannot step.
 
-        The scene adds the element and its key `solver`. Checks only keys and materials: no mesh is made.
+        The scene adds the element and its key `solver`. Only keys and materials are checked; no mesh is made.
         """
 
     def seconds(self, duration_s: float, device: str) -> float:
-        """Return the predicted time of a run of this length [s] on a device, including the error estimate [s]; infinite
-        if it depends on the load (`palmfield.skin.stepper_choice`)."""
+        """Return the predicted time [s] of a run of this length [s] on a device, with its error estimate.
+
+        It is infinite if it depends on the load (see `palmfield.skin.stepper_choice`)."""
         return math.inf
 
     def stepper(self, device: str) -> SkinStepper | None:
-        """Return the stepper on a device of `palmfield.device.resolve`; None if it needs more than the layer.
+        """Return the stepper on a device from `palmfield.device.resolve`; None if it needs more than the layer.
 
         Raises SceneError for impossible elements.
         """
@@ -97,7 +97,7 @@ class WedgeLayer(LayerSolver):
 
     @property
     def state_size(self) -> int:
-        """See LayerSolver: a run may change to the whole layer."""
+        """See LayerSolver. It is the size for the whole layer, because a run may change to it."""
         return self.layer.state_room
 
 
@@ -116,7 +116,7 @@ class ReducedLayer(WedgeLayer):
 
 
 class ExplicitLayer(LayerSolver, Protocol):
-    """The layer of a solver with its own mesh, made of the SceneLayer alone."""
+    """Layer of a solver with its own mesh; it needs only the SceneLayer."""
 
     own_mesh: bool = True
     steps: str = "steps of the solver"
@@ -144,7 +144,7 @@ def solver_class(name: str) -> type[LayerSolver]:
 
 
 def layer_solver(layer: SceneLayer, name: str) -> LayerSolver:
-    """Return the solver of a layer; for a solver with its own mesh, the same object for the same layer."""
+    """Return the solver of a layer. A solver with its own mesh is made once for each layer."""
     made = solver_class(name)
     return _cached(made, layer) if made.own_mesh else made(layer)
 

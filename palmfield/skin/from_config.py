@@ -2,7 +2,7 @@
 
 from dataclasses import astuple, replace
 
-import scipy  # loads its parts at first use
+import scipy  # loads its submodules at first use
 
 from palmfield.config.skin import OVERRIDES, SkinConfig
 from palmfield.errors import SceneError
@@ -22,7 +22,7 @@ def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:
 def softest_and_stiffest_sheets(skin: SkinConfig) -> tuple[tuple[Sheet, ...], tuple[Sheet, ...]] | None:
     """Return the sheets of a scene with all preset ranges at their low ends, and at their high ends.
 
-    None if no sheet has a range, or if keys of the scene set the material, because these have no range.
+    Returns None if no sheet has a range, or if keys of the scene set the material: keys have no range.
     """
     if not skin.materials and any(getattr(skin, key) is not None for key in OVERRIDES):
         return None
@@ -49,16 +49,16 @@ def slowest(sheets: tuple[Sheet, ...], f_Hz: float) -> Material:
 def quarter_periods(sheets: tuple[Sheet, ...], depth_m: float, f_Hz: float) -> float:
     """Return the time of a shear wave through a layer of this depth [m], in quarters of a period of f_Hz.
 
-    Below 1 a layer bonded to a rigid base guides no wave.
+    If it is below 1, a layer bonded to a rigid base guides no wave.
     """
     times = [sheet.thickness_m * depth_m / shear_wave(sheet.material, f_Hz)[0] for sheet in sheets]
     return 4.0 * f_Hz * sum(times)
 
 
 def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
-    """Return the frequency at which `quarter_periods` of a layer of this depth [m] is 1 [Hz]; c_s / 4h of one material
-    (`palmfield.skin.materials.dispersion.cutoff`).
-    """
+    """Return the frequency [Hz] at which `quarter_periods` of a layer of this depth [m] is 1.
+
+    For one material it is c_s / 4h (`palmfield.skin.materials.dispersion.cutoff`)."""
     from palmfield.skin.materials.dispersion import cutoff
 
     slow = min(cutoff(sheet.material, sheet.thickness_m * depth_m) for sheet in sheets)
@@ -70,15 +70,15 @@ def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
 
 
 def cutoff_Hz(skin: SkinConfig, sheets: tuple[Sheet, ...], depth_m: float) -> float | None:
-    """Frequency below which a layer of this depth [m] guides no wave [Hz]; None on a base that slides or is free.
+    """Return the frequency [Hz] below which a layer of this depth [m] guides no wave; None on a sliding or free base.
 
-    Springs instead of a rigid base lower this frequency; the result is then an upper bound.
+    For springs instead of a rigid base, the result is an upper bound.
     """
     return None if skin.base in ("free_slip", "free") else layer_cutoff(sheets, depth_m)
 
 
 def sheets_in_words(sheets: tuple[Sheet, ...]) -> str:
-    """Return the names of the materials from the surface down, with their shares where there are several."""
+    """Return the names of the materials from the surface down; for several materials, with their shares."""
     if len(sheets) == 1:
         return sheets[0].material.name
     return ", ".join(f"{100 * sheet.thickness_m:.3g} % {sheet.material.name}" for sheet in sheets)
@@ -91,7 +91,7 @@ def base_of(skin: SkinConfig) -> BaseKind | Springs:
 
 
 def material_of(skin: SkinConfig) -> Material:
-    """Return the preset, with the keys of the scene that override it."""
+    """Return the material: the preset, with values from the keys of the scene that override it."""
     changed = {key: getattr(skin, key) for key in OVERRIDES if getattr(skin, key) is not None}
     base = preset(skin.material)
     if not changed:

@@ -1,5 +1,6 @@
-"""Common code of solvers with their own mesh below the face of the layer of a scene, and of their steppers. Body, loads
-and operators are those of the wedges of the scene.
+"""Common code of solvers, and their steppers, with their own mesh below the face of the layer of a scene.
+
+Body, loads and operators are those of the wedges of the scene.
 """
 
 import functools
@@ -24,19 +25,19 @@ from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step
 from palmfield.types import Float, Int
 
 TONE = 8
-"""Number of periods of the load for which meshes are chosen: enough for a line spectrum."""
+"""Number of periods of the load for the choice of meshes: enough for a line spectrum."""
 TRIAL, LONGEST_TRIAL_s = 2, 0.02
-"""Periods of the main frequency for which a solver estimates its error, and the upper limit of this time [s]."""
+"""Length of the load for the error estimate: periods of the main frequency, and upper limit [s]."""
 SAMPLES = 32
-"""Times in each period."""
+"""Number of times in each period."""
 MOST_STEPS = 20_000
-"""Limit of the steps of a scheme in one MuJoCo step."""
+"""Largest number of steps of a scheme in one MuJoCo step."""
 
 
 class OwnMesh(ExplicitLayer, Protocol):
     """A layer on its own mesh, which a solver steps explicitly.
 
-    face: its nodes [m], shape (f, 3); stiffest: bulk over shear modulus, at most
+    face: nodes of the face [m], shape (f, 3); stiffest: largest allowed ratio of bulk to shear modulus
     """
 
     steps: str = "explicit steps, limited by the time in which a pressure wave crosses an element"
@@ -51,20 +52,19 @@ class OwnMesh(ExplicitLayer, Protocol):
     def face(self) -> Float: ...
 
     def refusal(self, body: Body, load: Load) -> str | None:
-        """Return why the solver cannot solve a problem, in a sentence, or None."""
+        """Return the reason why the solver cannot solve a problem, in a sentence, or None."""
         ...
 
     def near(self, points: Float) -> tuple[Int, Float]:
-        """Return face nodes and weights, shapes (p, k), that interpolate motion at points of the face [m], (p, 3)."""
+        """Return nodes and weights, both (p, k), that interpolate the motion at points of the face [m], (p, 3)."""
         ...
 
     def made(self, transfer: FaceTransfer, device: str) -> "OwnMeshStepper":
-        """Make the `stepper`; transfer: transfer from and to the wedges of the scene."""
+        """Make the stepper; transfer: matrices from and to the wedges of the scene."""
         ...
 
     def error(self, device: str) -> float:
-        """Return the error that `palmfield.skin.solve` states for this mesh under the trial load, including
-        omissions."""
+        """Return the error estimate of `palmfield.skin.solve` for this mesh under the trial load, with omissions."""
         ...
 
     def stepper(self, device: str) -> "OwnMeshStepper":
@@ -98,7 +98,7 @@ class OwnMesh(ExplicitLayer, Protocol):
                     f"with the solver, as it steps with the pressure wave: at most {self.stiffest:g}; or solver wedges",
                     mends=("material", "materials", "bulk_Pa"),
                 )
-        # A slab of the same sheets, of which only base and materials are checked here
+        # A slab of the same sheets; only base and materials are checked here
         sheets = tuple(Sheet(sheet.material, 0.01 * sheet.thickness_m) for sheet in self.layer.sheets)
         slab = Slab(sheets, "disc", base_of(config), "fixed", 0.1)
         load = Spot(self.layer.demand.spot_fwhm_m, np.zeros(1), np.ones(1))
@@ -120,17 +120,17 @@ class OwnMesh(ExplicitLayer, Protocol):
         return Layer(patch, self.layer.sheets, base_of(config), config.side)
 
     def planned_load(self) -> Spot:
-        """Return the load for the choice of meshes: spot width and frequency are those of the demand of the layer."""
+        """Return the load for the choice of meshes; spot width and frequency come from the demand of the layer."""
         return self._spot(TONE, self.layer.demand.max_frequency_Hz)
 
     def trial_s(self) -> float:
-        """Return the duration of the load for the error estimate of a solver [s]."""
+        """Return the duration of the load for the error estimate [s]."""
         return min(TRIAL / self.layer.demand.main_frequency_Hz, LONGEST_TRIAL_s)
 
     def trial(self, body: Body, points: Float, areas_m2: Float) -> tuple[Load, Float, Float]:
-        """Return the load for the error estimate of a solver, its output times, and two points of the face.
+        """Return the load for the error estimate, the output times, and two points of the face.
 
-        points, areas_m2: points of the face and their areas [m], (f, 3) and (f,), for a face on which x and y do not
+        points [m], (f, 3), areas_m2, (f,): points of the face and their areas, for a face on which x and y do not
         define a spot
         """
         f_Hz, middle = self.layer.demand.main_frequency_Hz, self._middle()
@@ -157,7 +157,7 @@ class OwnMesh(ExplicitLayer, Protocol):
         return vertices[cKDTree(vertices).query(self.layer.centre_m)[1]]
 
     def _check_steps(self, steps: int) -> None:
-        """Raise SceneError if a substep of the scene takes so many steps of the scheme that a run would not end."""
+        """Raise SceneError if a MuJoCo step needs more than MOST_STEPS steps of the scheme."""
         in_one = steps * round(self.layer.demand.timestep_s / self.layer.step_s)
         if in_one > MOST_STEPS:
             with self.layer.named:
@@ -173,9 +173,8 @@ class OwnMesh(ExplicitLayer, Protocol):
 class OwnMeshStepper(SkinStepper, Protocol):
     """Step a layer on its own mesh, in steps of a scheme that divide a substep; see SkinStepper.
 
-    own: the layer. transfer: transfer from and to the wedges of the scene. device: as returned by
-    `palmfield.device.resolve`.
-    steps: steps of the scheme in each substep.
+    own: the layer. transfer: matrices from and to the wedges of the scene. device: from `palmfield.device.resolve`.
+    steps: number of steps of the scheme in each substep.
     """
 
     points: Int | None = None
@@ -193,10 +192,10 @@ class OwnMeshStepper(SkinStepper, Protocol):
         return self._own.error(self._device)
 
     def carried(self, state: Float, ends: Float, t0: float, t1: float, observed: bool) -> Float | None:
-        """Carry the state of one world (state_size,) in place; motion of the face after each substep, (s, 2, f, 3).
+        """Advance the state of one world, (state_size,), in place from t0 to t1 [s].
 
-        ends: pressure on the face at both ends of each substep, (2 s, f)
-        """
+        ends: pressure [Pa] at the nodes of the face at both ends of each substep, (2 s, f)
+        Returns the motion of the face after each substep, (s, 2, f, 3), or None unless `observed`."""
         ...
 
     def step(
@@ -218,6 +217,6 @@ class OwnMeshStepper(SkinStepper, Protocol):
         return self._transfer.reader(operator)
 
     def read(self, state: Float, reader: Reader) -> Float:
-        """See SkinStepper; a state begins with displacement and velocity of all nodes, those of the face first."""
+        """See SkinStepper. A state begins with displacement and velocity of all nodes; nodes of the face are first."""
         face = 3 * len(self._own.face)
         return read(np.stack([state[:, :face], state[:, self.unknowns : self.unknowns + face]], axis=1), reader)

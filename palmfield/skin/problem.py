@@ -1,8 +1,8 @@
 """Inputs and results of a skin solver: body, load, motion.
 
-Frame of a slab: its face is the plane z = 0, the body lies below it, x and y along the face, origin in the middle. A
-layer is in the frame of its patch. A pressure pushes into the body; displacements are vectors, so that a slab under a
-spot moves by negative z.
+Frame of a slab: the face is the plane z = 0, the body lies below it, and the origin is in the middle of the face. A
+layer is in the frame of its patch. A positive pressure pushes into the body. Displacements are vectors, so a slab
+under a spot moves by negative z.
 """
 
 import math
@@ -25,27 +25,27 @@ Law = Literal["linear", "held"]
 Quantity = Literal["displacement", "velocity", "normal"]
 Shape = Literal["infinite", "disc", "box"]
 QUANTITIES: tuple[Quantity, ...] = ("displacement", "velocity", "normal")
-"""The quantity of an accuracy: the displacement, the velocity, or the displacement along the normal of the face; the
-order of the three errors in solvers."""
+"""Quantities to which a target accuracy can apply, in the order of the three errors of solvers; "normal" is the
+displacement along the normal of the face."""
 SHAPES = ("infinite", "disc", "box")
 LEAST_M, THICKEST_M, WIDEST_M = 1e-4, 1.0, 10.0
-"""Limits of slab sizes [m]. Above the last two, lengths were probably in millimetres. Below the first, waves cross the
-slab so fast that no solver would end."""
+"""Limits of slab sizes [m]. Larger sizes are probably lengths in millimetres. Below the first, waves cross the slab so
+fast that a solution takes too long."""
 ONLY_WEDGES = "only the solvers wedges and reduced support a Foundation: choose one of them, or use another base"
-"""Message with which other solvers refuse such a body."""
+"""Error message of other solvers for a body with a Foundation."""
 GAUSSIAN = 4.0 * math.log(2.0)
 """exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""
 
 
 @dataclass(frozen=True)
 class Slab:
-    """Flat sheets on a base, the first at the surface.
+    """Flat sheets on a base, from the surface down.
 
     shape: "infinite", "disc" (radius_m) or "box" (size_m along x and y).
     base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction), "free" (no traction), Springs
         or a Foundation.
     side: "fixed" (no motion), "free" (no traction), "roller" (no normal motion, no shear traction) or "absorbing";
-        none where the shape is infinite.
+        not used if the shape is infinite.
     Raises SceneError for other values, missing sizes, and sizes below LEAST_M or above THICKEST_M and WIDEST_M.
     """
 
@@ -81,7 +81,7 @@ class Slab:
 
 @dataclass(frozen=True)
 class Layer:
-    """Sheets below a patch of surface: their thicknesses are shares of the depth of the patch, the first at the skin.
+    """Sheets below a patch of surface, from the surface down; their thicknesses are shares of the depth of the patch.
 
     Raises SceneError for an unknown base or side, and for a depth that is not above 0, with its place. Also for a patch
     with positions that are not finite, inward directions that are not of length 1, or faces with unknown vertices.
@@ -113,7 +113,7 @@ def depth_of(body: "Slab | Layer") -> float:
 
 
 def check_patch(patch: Patch) -> None:
-    """Raise SceneError for numbers not finite, directions not of length 1, and faces without vertices."""
+    """Raise SceneError for numbers not finite, directions not of length 1, and faces with unknown vertices."""
     for name in ("vertices", "inward", "depth"):
         values = np.asarray(getattr(patch, name), dtype=float)
         if not np.isfinite(values).all():
@@ -135,14 +135,14 @@ Body = Slab | Layer
 class Spot:
     """A round Gaussian spot of pressure a(t) exp(-4 ln 2 |x - c(t)|^2 / fwhm^2), x and c in the plane z = 0.
 
-    On a layer the distance is measured in x and y, so the normal of its face should be along z, up or down.
+    On a layer the distance is measured in x and y, so the normal of its face should be along +z or -z.
 
     fwhm_m: full width at half maximum [m].
-    times_s: [s], rising, shape (f,); before the first the load is 0, after the last it stays.
-    peak_Pa: a at these times, shape (f,). centre_m: c, shape (f, 2) or, at rest, (2,).
-    law: a and c between these times: "linear", or "held" at the value of the earlier one.
+    times_s: [s], ascending, shape (f,); the load is 0 before the first time and constant after the last.
+    peak_Pa: a at these times, shape (f,). centre_m: c, shape (f, 2), or (2,) if it is constant.
+    law: a and c between these times: "linear", or "held" at the earlier value.
     A static load, for use with `static`, has one time, 0, and law "held".
-    Raises SceneError for other shapes, times that do not rise, and numbers that are not finite.
+    Raises SceneError for other shapes, times that do not ascend, and numbers that are not finite.
     """
 
     fwhm_m: float
@@ -171,7 +171,7 @@ class Traction:
     """Pressure given at points of the face.
 
     points: [m], shape (n, 3). weights_m2: area of each point [m^2], shape (n,).
-    times_s: [s], rising, shape (f,). pressure_Pa: shape (f, n). law: as for Spot.
+    times_s: [s], ascending, shape (f,). pressure_Pa: shape (f, n). law: as for Spot.
     Raises SceneError as Spot, and for a weight below 0.
     """
 
@@ -200,7 +200,7 @@ def is_pressed(load: Load) -> bool:
 
 
 def between(load: Load, values: Float, times_s: Float) -> Float:
-    """Interpolate values at the times of a load, (f, ...), by its law at other times [s], (t,); shape (t, ...)."""
+    """Interpolate values at the times of a load, (f, ...), by its law; return them at times [s], (t,): (t, ...)."""
     if load.law == "held":
         place = np.searchsorted(load.times_s, times_s, side="right") - 1
         return values[np.clip(place, 0, len(values) - 1)]
@@ -214,11 +214,10 @@ class Motion:
 
     times_s: shape (t,). points: [m], shape (n, 3).
     displacement_m, velocity_m_s: shape (t, n, 3).
-    error: estimated relative error of the quantity of `accuracy_of` (L2 over the times at a point, the largest of the
-        points); error_source: how it was found.
-    solver: its name, with its resolution in words. seconds: its computing time.
-    displacement_error, velocity_error, normal_error: the same of the displacement, the velocity and the displacement
-        along the normal of the face; NaN where there is no estimate.
+    error: estimated relative error of the quantity `accuracy_of` (L2 over the times at a point, at the worst point).
+    error_source: method of the estimate. solver: name and resolution, in words. seconds: computing time [s].
+    displacement_error, velocity_error, normal_error: the same error for displacement, velocity, and displacement
+        along the normal of the face; NaN without an estimate.
     """
 
     times_s: Float
@@ -237,12 +236,12 @@ class Motion:
 
 @dataclass(frozen=True)
 class SkinProblem:
-    """Input of a solver: the motion of a body from rest under a load, at some times and points, to an accuracy.
+    """Input of a solver: body, load, requested times and points, and target accuracy. The body starts at rest.
 
-    times: requested times [s], rising, shape (t,). at: points of the face [m], shape (n, 2) or (n, 3).
+    times: requested times [s], ascending, shape (t,). at: points of the face [m], shape (n, 2) or (n, 3).
     accuracy: target relative error of accuracy_of, L2 over the times at a point, at the worst point.
-    accuracy_of: one of QUANTITIES. device: "auto", "cpu" or "cuda:N", for solvers that run on a GPU as well.
-    Raises SceneError for times that do not rise, other shapes, numbers that are not finite, and another quantity.
+    accuracy_of: one of QUANTITIES. device: "auto", "cpu" or "cuda:N", for solvers that also run on a GPU.
+    Raises SceneError for times that do not ascend, other shapes, numbers that are not finite, and another quantity.
     """
 
     body: Body
@@ -265,7 +264,7 @@ class SkinProblem:
 
     @cached_property
     def points(self) -> Float:
-        """The points on the face of the body [m], shape (n, 3). Raises SceneError as `points_on_face`."""
+        """Points on the face of the body [m], shape (n, 3). Raises SceneError as `points_on_face`."""
         return points_on_face(self.body, self.at)
 
     def refuse(self, solver: str, refusal: Callable[[Body, Load], str | None]) -> None:
@@ -284,10 +283,10 @@ class SkinProblem:
         begun: float,
         points: Float | None = None,
     ) -> Motion:
-        """Make the Motion from the result of a solver, shape (t, n, 3).
+        """Make the Motion from the results of a solver, shapes (t, n, 3).
 
-        errors: errors of the QUANTITIES, (3,); source, solver: texts; begun: time.perf_counter() as it began
-        points: positions, if other than `points` [m], shape (n, 3)
+        errors: errors of the QUANTITIES, (3,); source, solver: texts; begun: time.perf_counter() at the start
+        points: positions [m], shape (n, 3); default `points`
         """
         return Motion(
             times_s=self.times,
@@ -311,7 +310,7 @@ def check_quantity(accuracy_of: str) -> int:
 
 
 def normals_on_face(body: Body, points: Float) -> Float:
-    """Outward unit normals of the face at points (n, 3), those of a layer at its nearest vertices; shape (n, 3)."""
+    """Return outward unit normals of the face at points (n, 3), for a layer at the nearest vertices; shape (n, 3)."""
     if isinstance(body, Slab):
         return np.tile([0.0, 0.0, 1.0], (len(points), 1))
     patch = body.patch
@@ -325,7 +324,7 @@ def normals_on_face(body: Body, points: Float) -> Float:
 
 
 def as_floats(load: object, *names: str) -> None:
-    """Make float64 arrays of these fields of a frozen load."""
+    """Replace these fields of a frozen load by float64 arrays."""
     for name in names:
         try:
             object.__setattr__(load, name, np.asarray(getattr(load, name), dtype=float))
@@ -334,7 +333,7 @@ def as_floats(load: object, *names: str) -> None:
 
 
 def numbers(what: str, values: ArrayLike) -> Float:
-    """Return values as an array. Raises SceneError for values that are no numbers."""
+    """Return values as an array. Raises SceneError for values that are not numbers."""
     try:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError) as error:
@@ -342,7 +341,7 @@ def numbers(what: str, values: ArrayLike) -> Float:
 
 
 def rising(what: str, times_s: ArrayLike) -> Float:
-    """Return times [s] as an array, shape (t,). Raises SceneError unless there is one, all finite and ascending."""
+    """Return times [s] as an array, (t,), t >= 1. Raises SceneError unless they are finite and ascending."""
     times = numbers(what, times_s)
     if times.ndim != 1 or len(times) == 0 or not np.isfinite(times).all() or not np.all(np.diff(times) > 0.0):
         raise SceneError(f"{what} of shape {times.shape} must be finite, rising and at least one")
@@ -350,7 +349,7 @@ def rising(what: str, times_s: ArrayLike) -> Float:
 
 
 def requested_points(at: ArrayLike) -> Float:
-    """Points as an array, (n, 2) or (n, 3). Raises SceneError for other shapes, for none, and for NaN or infinity."""
+    """Return points as an array, (n, 2) or (n, 3). Raises SceneError for other shapes, no points, NaN or infinity."""
     points = numbers("at", at)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0 or not np.isfinite(points).all():
         raise SceneError(f"at of shape {points.shape}: give finite positions on the face, shape (n, 2) or (n, 3)")
@@ -358,13 +357,13 @@ def requested_points(at: ArrayLike) -> Float:
 
 
 def in_space(at: ArrayLike) -> Float:
-    """Points as an array (n, 3), with z = 0 where they have no z. Raises SceneError as `requested_points`."""
+    """Return points as an array (n, 3), with z = 0 if they have no z. Raises SceneError as `requested_points`."""
     points = requested_points(at)
     return points if points.shape[1] == 3 else np.column_stack([points, np.zeros(len(points))])
 
 
 def lifted(patch: Patch, places: Float) -> Float:
-    """Return the points of the face over or under places of the plane [m], (n, 2): shape (n, 3)."""
+    """Return the points of the face above or below places of the plane [m], (n, 2); shape (n, 3)."""
     from palmfield.hand.meshquery import over_plane
 
     corners, weights = over_plane(patch.vertices[:, :2], patch.faces, places)
@@ -372,9 +371,9 @@ def lifted(patch: Patch, places: Float) -> Float:
 
 
 def points_on_face(body: Body, at: ArrayLike) -> Float:
-    """Requested points [m], (n, 3), with z = 0 on a slab. Raises SceneError as `requested_points`, or off the body.
+    """Return requested points [m], (n, 3); z = 0 on a slab. Raises SceneError as `requested_points`, or off the body.
 
-    A point is off a layer if no vertex of its patch is nearer than its longest edge.
+    A point is off a layer if no vertex of the patch is nearer than the longest edge of the patch.
     """
     points = requested_points(at)
     if isinstance(body, Layer):
@@ -405,7 +404,7 @@ def points_on_face(body: Body, at: ArrayLike) -> Float:
 
 
 def spread(fwhm_m: float) -> float:
-    """Return the standard deviation of a Gaussian of that full width at half maximum [m]."""
+    """Return the standard deviation [m] of a Gaussian with this full width at half maximum [m]."""
     return fwhm_m / math.sqrt(2.0 * GAUSSIAN)
 
 

@@ -1,4 +1,4 @@
-"""A viscoelastic body in a basis of a few vectors, for reduced models and steppers."""
+"""A viscoelastic body projected on a basis of a few vectors, for reduced models and steppers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from palmfield.types import Complex, Float
 
 @dataclass(frozen=True)
 class Projection:
-    """A body in a basis V of r vectors.
+    """A body projected on a basis V of r vectors.
 
     matrices: V^T M V, V^T C V, V^T E V and V^T K_p V, symmetric, (r, r); materials: materials of the parts
-    force: V^T B, shape (r, j); read: Y V, shape (k, r)
+    force: V^T B, shape (r, j), for input matrix B; read: Y V, shape (k, r), for output matrix Y
     """
 
     matrices: list[Float]
@@ -25,12 +25,12 @@ class Projection:
     read: Any
 
     def harmonic(self, f_Hz: float) -> Complex:
-        """Return the readings under the first force times e^{-i w t}, exact in time, shape (k,)."""
+        """Return the harmonic readings under the first force times e^{-i w t}, exact in time, shape (k,)."""
         s = -2j * np.pi * f_Hz
         return self.moved(s**2, s, [complex(material.relaxation.stiffening(s)) for material in self.materials])
 
     def moved(self, inertia: complex, rate: complex, scales: Sequence[complex]) -> Complex:
-        """Return the readings at rest under the first force, for these factors of mass, damping and parts, (k,)."""
+        """Return the readings under the first force, (k,), for these factors of mass, damping and parts."""
         mass, damping, elastic, *stiffness = self.matrices
         matrix: Any = inertia * mass + rate * damping + elastic
         for scale, part in zip(scales, stiffness, strict=True):

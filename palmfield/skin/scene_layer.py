@@ -1,4 +1,4 @@
-"""Skin layer of a scene: sizes for the target accuracy, patch, elements, matrices and quadrature, each made once."""
+"""Skin layer of a scene: sizes for the target accuracy, patch, mesh, matrices and quadrature, each made once."""
 
 import math
 import threading
@@ -28,13 +28,13 @@ from palmfield.skin.mesh.wedges import WedgeMesh, extrude
 from palmfield.types import Float, Patch, Surface
 
 UNEVEN = 3.0
-"""Factor by which a layer on a body is meshed more accurately than the target. The rules are calibrated on a disc of
-even depth. On a palm (accuracy 0.05, 200 Hz, 11 places within 18 mm) edges and rows for a third of the target differ
-from a mesh of 12 times as many unknowns by 1.2 % in the median; by 10 % at one place, near a rim."""
+"""Factor by which a layer on a body is meshed more accurately than the target: the rules are calibrated on a disc of
+even depth. On a palm (target 0.05, 200 Hz, 11 places within 18 mm) a mesh for a third of the target differs from a
+mesh with 12 times the unknowns by 1.2 % in the median, and by 10 % at one place near a rim."""
 
 RADIUS_STEP_M = 0.01
-"""Patches have a multiple of this radius [m], at least a quarter of it less than their rule says, so that stimuli of
-similar frequencies and paths share one."""
+"""The radius of a patch is a multiple of this [m], so that similar stimuli share a patch. Rounding reduces the radius
+of the rule by at most a quarter of this step."""
 OF_MESH = ("patch_site", "patch_radius_m", "depth_m", "element_m")
 """Settings of the mesh of a layer."""
 UNNAMED = naming("skin layer")
@@ -46,7 +46,7 @@ class LayerSizes:
 
     edge_fine_m, edge_coarse_m: element edges within fine_radius_m of the middle of the focus and at the rim [m].
     depth_fractions: depth fractions of the rows of elements, 0 at the surface, 1 at the base, shape (L+1,).
-    step_s: substep [s], an integer part of the MuJoCo step. radius_m: radius of the layer [m].
+    step_s: substep [s]; a MuJoCo step has an integer number of substeps. radius_m: radius of the layer [m].
     """
 
     edge_fine_m: float
@@ -62,12 +62,12 @@ class LayerDemand:
     """Demands of the sound and the scene on a layer.
 
     spot_fwhm_m: full width at half maximum of the pressure spot [m].
-    max_frequency_Hz: highest frequency that mesh and step must resolve. main_frequency_Hz: frequency of most of the
-    response.
-    path_reach_m: radius of the region of foci, and reach of the path, by which a patch grows [m].
+    max_frequency_Hz: highest frequency that mesh and step must resolve.
+    main_frequency_Hz: frequency of most of the response.
+    path_reach_m: radius of the region of foci [m], and reach of the path, by which a patch grows [m].
     timestep_s: timestep of MuJoCo [s]. longest_step_s: upper limit of the substep [s].
-    corner_Hz: frequency above which the spectrum of the load falls, about; infinite if unknown.
-    offset_m: offset from the centre of the layer to the middle of that region, body frame [m]; 0 if the skin moves.
+    corner_Hz: approximate frequency above which the spectrum of the load falls; infinite if unknown.
+    offset_m: from the centre of the layer to the middle of the region of foci, body frame [m]; 0 if the skin moves.
     """
 
     spot_fwhm_m: float
@@ -92,9 +92,8 @@ def layer_sizes(
 ) -> LayerSizes:
     """Return the sizes of the layer of a scene for its target accuracy; see LayerDemand.
 
-    sheets: sheets of the layer, thicknesses as shares. resizing: factor of all element sizes. rows: rows of elements
-    in depth, by
-        default the number for these sizes.
+    sheets: sheets of the layer, thicknesses as shares. resizing: factor of all element sizes.
+    rows: number of rows of elements in depth; default: the number for these sizes.
     Raises SceneError for a step_s that does not divide the timestep, and for a timestep that is not finite.
     """
     needs = slowest(sheets, max_frequency_Hz), spot_fwhm_m, max_frequency_Hz
@@ -115,7 +114,7 @@ def layer_sizes(
     near, far = path_reach_m
     fine_radius, radius = fine_radius + near, radius + far
     radius = config.radius_m or config.patch_radius_m or RADIUS_STEP_M * math.ceil(radius / RADIUS_STEP_M - 0.25)
-    # A small patch of a curved body needs some triangles for its shape at any accuracy.
+    # At any accuracy, a small patch of a curved body needs some triangles to represent its shape.
     coarse = min(coarse, (0.5 if config.shape == "disc" else 0.25) * radius)
     fine = min(fine, coarse)
     step = config.step_s or step
@@ -130,15 +129,15 @@ def layer_sizes(
 
 
 class SceneLayer:
-    """One skin layer of a scene; costly parts are made at first use, once, also from several threads.
+    """One skin layer of a scene. Costly parts are made once, at first use; threads may share the layer.
 
-    config: the keys of the skin.
-    surface: the closed surface of the whole body in its frame, None for shape "disc".
+    config: keys of the skin.
+    surface: closed surface of the whole body in its frame; None for shape "disc".
     depth_m: largest depth of the layer below the vertices of the surface [m], shape (n,), or one number.
     centre_m: middle of the layer, body frame [m], shape (3,). demand: see LayerDemand.
-    resizing, rows: factor of all element sizes, and number of rows, see `layer_sizes`. named: adds the name of the
-        skin to errors.
-    sheets: other materials than those of the keys; the mesh is that for the materials of the keys.
+    resizing, rows: factor of all element sizes, and number of rows; see `layer_sizes`.
+    named: context that adds the name of the skin to errors.
+    sheets: materials that replace those of the keys; the mesh is still that for the materials of the keys.
     """
 
     def __init__(
@@ -161,7 +160,7 @@ class SceneLayer:
         self.lock = threading.RLock()
 
     def resized(self, factor: float, rows: int | None = None) -> "SceneLayer":
-        """Return the layer with elements of `factor` times the chosen size, perhaps other rows."""
+        """Return the layer with elements of `factor` times the chosen size; rows: another number of rows, or None."""
         return SceneLayer(
             self.config, self.surface, self.depth_m, self.centre_m, self.demand,
             resizing=factor, rows=rows, named=self.named,
@@ -195,7 +194,7 @@ class SceneLayer:
     def patch(self) -> Patch:
         """Return the part of the surface with a layer. Raises SceneError if it cannot be made."""
         config, sizes = self.config, self.sizes
-        # With equal edges there is no fine region, and a regular mesh about the middle is better
+        # With equal edges there is no fine region, and a regular mesh round the middle is better
         offset = self.demand.offset_m if sizes.edge_fine_m < sizes.edge_coarse_m else (0.0, 0.0, 0.0)
         if config.shape == "disc":
             assert config.radius_m and config.thickness_m
@@ -205,10 +204,10 @@ class SceneLayer:
             edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
             return disc_patch(config.radius_m, config.thickness_m, *edges, (x, y))
         assert self.surface is not None
-        # The mesh of a left hand is the mirror image of that of the right hand, like its surface
+        # The mesh of a left hand is the mirror image of the mesh of the right hand, like its surface
         left = config.shape in OF_SHAPES["hand"] and load_preset(config.hand).side == "left"
         surface, mirror = (mirrored_surface(self.surface), MIRROR) if left else (self.surface, np.ones(3))
-        # The layer of a hand preset, which has bones, may reach past the middle; other bodies have no inner parts.
+        # The layer of a hand preset, which has bones, may reach past the middle; other bodies have no bones.
         fraction = 0.6 if config.shape in OF_SHAPES["hand"] else 0.45
         with self.meshing():
             patch = surface_patch(
@@ -238,7 +237,7 @@ class SceneLayer:
 
     @locked_cached_property
     def mesh(self) -> WedgeMesh:
-        """The elements of the layer."""
+        """Mesh of the layer."""
         patch = self.patch
         with self.meshing():
             return phase("elements")(extrude)(patch, self.sizes.depth_fractions)
@@ -265,7 +264,7 @@ class SceneLayer:
 
     @locked_cached_property
     def surface_operator(self) -> sparse.csr_matrix:
-        """Unknowns -> displacement along the outward normal at the surface nodes, shape (S, ndof)."""
+        """Matrix from unknowns to displacement along the outward normal at the surface nodes, shape (S, ndof)."""
         return surface_motion(self.mesh, self.system)
 
     def probe(self, point: Float) -> SurfaceProbe:
@@ -274,13 +273,13 @@ class SceneLayer:
 
     @property
     def dofs(self) -> int:
-        """Return the number of unknowns, without matrices; roller and fixed sides remove a few of them."""
+        """Return the number of unknowns without making matrices; roller and fixed sides remove a few of them."""
         held = self.config.base == "bonded" and self.config.foundation is None
         return 3 * (len(self.mesh.nodes) - (self.mesh.surface_nodes if held else 0))
 
     @property
     def expected_dofs(self) -> float:
-        """Expected number of unknowns of the layer, from its sizes alone."""
+        """Expected number of unknowns of the layer, computed only from its sizes."""
         sizes = self.sizes
         inner = min(sizes.fine_radius_m, sizes.radius_m)
         middle = 0.5 * (sizes.edge_fine_m + sizes.edge_coarse_m)
@@ -291,6 +290,6 @@ class SceneLayer:
 
     @property
     def state_room(self) -> int:
-        """Return an upper bound of the state size of the layer for any stepper, without matrices."""
+        """Return an upper bound of the state size for any stepper of the layer, without making matrices."""
         branches = sum(len(material.relaxation.branches) for material in {sheet.material for sheet in self.sheets})
         return (3 + branches) * 3 * len(self.mesh.nodes)

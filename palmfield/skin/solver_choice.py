@@ -1,4 +1,4 @@
-"""Solver choice: one call for every skin solver.
+"""Choose a skin solver and solve: one call for every solver.
 
 `solve` uses the cheapest solver that should reach the target accuracy, and refines if it does not. The predicted costs
 are those of the stepper choice in scenes (palmfield.skin.costs).
@@ -61,9 +61,9 @@ WHERE = {
 }
 """Modules of palmfield.skin that hold solve_NAME, refusal_NAME and cost_NAME of each solver.
 
-solve_NAME takes a SkinProblem and its own resolution, and raises SceneError where it can't. Optional functions:
-finer_NAME returns the resolution for the next solution, and prepared_NAME the body to which the cost refers, with
-data that solve_NAME reuses.
+solve_NAME has a SkinProblem and its own resolution as arguments; it raises SceneError if it cannot solve the problem.
+Optional functions: finer_NAME returns the resolution of the next solution; prepared_NAME returns the body of the cost
+prediction, with data that solve_NAME reuses.
 """
 
 FORMER = {
@@ -82,19 +82,19 @@ AT_REST = ("lateral_waves", "axisymmetric", "wedges")
 """Solvers for a static load, the fastest first."""
 
 LATE = 20.0
-"""From this number of periods after the last change of a load, output times of a lossless body count as static."""
+"""Number of periods after the last change of a load from which output times of a lossless body count as static."""
 
 HARDER: dict[Quantity, float] = {"displacement": 1.0, "velocity": 0.5, "normal": 1.0}
-"""Ratio of the displacement accuracy to the accuracy of each quantity at about the same work."""
+"""Displacement error over the error of each quantity, at about the same work."""
 
 COMMON = ("accuracy", "accuracy_of", "device")
-"""Options of every solver besides its own resolution."""
+"""Options of every solver, in addition to its own resolution."""
 
 SLAB_S, LAYER_S = 0.02, 0.12
-"""Seconds of the choice itself, including the search for the part of a layer that affects the load."""
+"""Time of the choice itself for a slab and a layer [s], with the search for the relevant part of a layer."""
 
 FINER = 3
-"""Number of refinements if the error estimate misses the target accuracy."""
+"""Largest number of refinements if the error estimate misses the target accuracy."""
 
 
 def choices(
@@ -155,19 +155,18 @@ def solve(
 
     body: Slab or Layer. load: Spot or Traction (palmfield.skin.problem); the body is at rest before the load begins.
     times: requested times [s], rising, shape (t,). at: points on the face [m], shape (n, 2) or (n, 3).
-    solver: "auto", the solver with the lowest predicted cost that does not refuse before or during the solution; or the
-    name of a solver.
+    solver: name of a solver, or "auto": the solver with the lowest predicted cost that can solve the problem.
     accuracy: target relative error of accuracy_of, L2 over the times at a point, at the worst point.
-    accuracy_of: basis of the estimate and the refinement: "displacement", "velocity", or "normal", the displacement
-        along the normal of the face, whose error is larger if the skin moves mostly along its surface.
+    accuracy_of: quantity of the error: "displacement", "velocity", or "normal" (displacement along the normal of the
+        face; its error is larger if the skin moves mostly along its surface).
     device: "auto", "cpu" or "cuda:N".
-    whole: whether to keep all of a layer, also the part beyond the reach of load and points
-    (palmfield.skin.approximation.truncate_domain).
-    resolution: arguments for the named solver, which is then not refined.
-    If the estimate misses the accuracy the problem is solved again, finer, up to FINER times; a Motion whose `error`
-    is above `accuracy` says so in its `solver`.
-    Raises SceneError for bad arguments, if no solver, or not the named one, can solve it, and for a body without
-    losses at late times alone (`check_rest`).
+    whole: whether to keep the whole layer, also the part that hardly affects the points
+        (palmfield.skin.approximation.truncate_domain).
+    resolution: arguments for the named solver; with them the solution is not refined.
+    If the estimate misses the accuracy, the problem is solved again on a finer mesh, up to FINER times. If `error` of
+    the Motion is still above `accuracy`, its `solver` states this.
+    Raises SceneError for bad arguments, if no solver (or not the named one) can solve the problem, and for a body
+    without losses if only late times are requested (`check_rest`).
     """
     begin = time.perf_counter()
     problem = checked(body, load, times, at, accuracy, accuracy_of, device)
@@ -176,7 +175,7 @@ def solve(
     if solver != "auto" and solver not in WHERE:
         raise SceneError(f"solver is '{solver}'; use auto or one of {', '.join(WHERE)}")
     check_rest(problem)
-    # With points off the body every solver would refuse.
+    # Checked first, because every solver would refuse points off the body.
     points_on_face(body, problem.at)
     cut, law = 0.0, max(sheet.material.series_error for sheet in body.sheets)
     if whole or not is_pressed(load):
@@ -225,7 +224,7 @@ def solve(
 
 
 def _first_that_can(able: list[Choice], problem: SkinProblem) -> tuple[Choice, Motion, str]:
-    """Return the first solver of a list that does not refuse at run time, its result, and the reason in words."""
+    """Return the first solver of a list that does not fail at run time, its result, and the reason in words."""
     refused: list[str] = []
     for place, choice in enumerate(able):
         try:
@@ -240,7 +239,7 @@ def _first_that_can(able: list[Choice], problem: SkinProblem) -> tuple[Choice, M
 
 
 def _by_name(name: str, problem: SkinProblem, resolution: dict[str, Any]) -> Motion:
-    """Result of one solver, with a given resolution. Raises SceneError where it can't solve."""
+    """Return the result of one solver with a given resolution. Raises SceneError if it cannot solve the problem."""
     if not resolution:
         problem.refuse(name, function(name, "refusal"))
     run: Callable[..., Motion] = function(name, "solve")
@@ -252,9 +251,9 @@ def _by_name(name: str, problem: SkinProblem, resolution: dict[str, Any]) -> Mot
 
 
 def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> Motion:
-    """Return the static displacement under the last pressure of the load, by the first of AT_REST that can solve it.
+    """Return the static displacement under the last pressure of the load, from the first usable solver of AT_REST.
 
-    Arguments as for `solve`; times_s is the last time of the load, the velocity 0.
+    Arguments as for `solve`. In the Motion, times_s is the last time of the load and the velocity is 0.
     Raises SceneError for bad arguments and a body without support.
     """
     begin = time.perf_counter()
@@ -299,10 +298,10 @@ def at_rest(problem: SkinProblem) -> Motion:
 
 
 def check_rest(problem: SkinProblem) -> None:
-    """Raise SceneError if late times are meant as static but the body never comes to rest.
+    """Raise SceneError if only late times are requested and the body never comes to rest.
 
-    Such a body has no losses in sheets, base and sides, so it rings for ever. Late means that all times lie more than
-    LATE of its quarter waves after the last change of the load.
+    A body without losses in sheets, base and sides oscillates for ever. Late times are more than LATE periods of its
+    quarter-wave resonance after the last change of the load.
     """
     body, times = problem.body, problem.times
     base, last = body.base, float(problem.load.times_s[-1])
@@ -336,7 +335,7 @@ def check_load(load: object) -> None:
 def checked(
     body: Body, load: Load, times: ArrayLike, at: ArrayLike, accuracy: float, accuracy_of: Quantity, device: str
 ) -> SkinProblem:
-    """Make the problem from the arguments of a user. Raises SceneError."""
+    """Return the problem for the arguments of a user. Raises SceneError for invalid arguments."""
     check_load(load)
     problem = SkinProblem(
         body, load, numbers("times", times), numbers("at", at), accuracy, accuracy_of, resolve(device)
@@ -355,5 +354,5 @@ def truncated(problem: SkinProblem) -> tuple[SkinProblem, float]:
 
 
 def function(name: str, what: str) -> Callable[..., Any]:
-    """Function solve_NAME, refusal_NAME or cost_NAME of a solver; loaded at first use, because some need Warp."""
+    """Return solve_NAME, refusal_NAME or cost_NAME of a solver; loaded at first use, because some need Warp."""
     return getattr(import_module(f"palmfield.skin.{WHERE[name][what]}"), f"{what}_{name}")

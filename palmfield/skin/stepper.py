@@ -1,7 +1,7 @@
-"""Protocol of a stepper that carries a skin through simulated time, for scenes and for `palmfield.skin.solve`.
+"""Protocol of a stepper, which advances the motion of a skin in time, for scenes and for `palmfield.skin.solve`.
 
-A stepper is made once for a layer and never changes, so that threads share it; the state belongs to the caller. All
-arrays have a leading axis for worlds: several equal bodies, each with its own state and loads, step in one call.
+A stepper is made once for a layer and never changes, so threads can share it. The state belongs to the caller. All
+arrays have a leading axis for worlds: one call steps several equal bodies, each with its own state and loads.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,16 +17,16 @@ from palmfield.threads import Calls
 from palmfield.types import Complex, Float, Float32, Int
 
 CLOCK = 1e-6
-"""Tolerance of t1 - t0 against the substeps of the loads, as a share of a substep: MuJoCo's time has rounding."""
+"""Tolerance of t1 - t0 against the substeps of the loads, as a share of a substep: the time of MuJoCo is rounded."""
 
 
 @dataclass(frozen=True)
 class SurfaceLoads:
-    """Inward pressure on a skin over s substeps, as sums of k patterns that change linearly within each substep.
+    """Inward pressure on a skin over s substeps: a sum of k patterns with weights linear in each substep.
 
-    pressure_Pa: the patterns at the quadrature points of the layer [Pa], shape (w, k, q).
+    pressure_Pa: patterns at the quadrature points of the layer [Pa], shape (w, k, q).
     first, last: weight of each pattern at the start and at the end of each substep, shape (w, s, k).
-    fixed: whether `pressure_Pa` is never written again, so that a stepper may keep results computed from it.
+    fixed: whether `pressure_Pa` never changes, so that a stepper may cache results computed from it.
     """
 
     pressure_Pa: Float | Float32
@@ -37,10 +37,10 @@ class SurfaceLoads:
 
 @dataclass(frozen=True, eq=False)
 class Reader:
-    """Operator from the states of the one stepper that made it to displacement and velocity (SkinStepper.reader).
+    """Operator from states to displacement and velocity; only the stepper that made it can use it.
 
-    count: numbers read, m; matrix: the operator as that stepper uses it
-    single: the same in single precision, if that stepper takes it for what is observed of all substeps
+    count: number m of values read; matrix: the operator in the form of the stepper
+    single: the same in single precision, if the stepper uses it to observe all substeps
     """
 
     count: int
@@ -49,10 +49,10 @@ class Reader:
 
 
 class Outside(NamedTuple):
-    """Squares of the part of a load outside its class, and of the whole load, summed over substeps.
+    """Squares of the part of a load outside the class of a stepper, and of the whole load, summed over substeps.
 
-    energy, energy_of_all: squared energy norms on the skin. plain, plain_of_all: sums of squares of the pressures at
-    the points [Pa^2].
+    energy, energy_of_all: squared energy norms on the skin.
+    plain, plain_of_all: sums of squares of the pressures at the points [Pa^2].
     """
 
     energy: float
@@ -64,8 +64,8 @@ class Outside(NamedTuple):
 class StepMemory(NamedTuple):
     """Inputs and outputs on a device of a step of a skin in w worlds.
 
-    counts: drives and patterns, int32, shape (w, 2); pressure: patterns at all quadrature points of the layer [Pa],
-        float32, shape (w m, q), or, if `chosen`, at those of the stepper.
+    counts: numbers of drives and patterns, int32, shape (w, 2).
+    pressure: patterns [Pa], float32, shape (w m, q), at the points of the stepper if `chosen`, else at all points.
     weights: weights of each pattern, float64, shape (w, `DeviceModel.weight_rows`, m).
     before, after: the state, float64, shape (w, n). squares: float64, shape (w, SECTIONS, s, `kernels.LANES`).
     """
@@ -80,7 +80,7 @@ class StepMemory(NamedTuple):
 
 
 class StepWork(NamedTuple):
-    """Work of all substeps as dense products: operations and numbers read in either precision, and kernels."""
+    """Work of all substeps as dense products: operations, numbers read in each precision, and kernels."""
 
     single: float
     double: float
@@ -90,25 +90,24 @@ class StepWork(NamedTuple):
 
 
 DeviceStep = Callable[[Float, SurfaceLoads, float, float, Reader | None], Float | Float32 | None]
-"""As `SkinStepper.step`."""
+"""Function like `SkinStepper.step`."""
 
 
 class SkinStepper(Protocol):
-    """Steps one skin in time. Immutable, and safe to use from several threads. Other code needs only the attributes
-    here, not the names of subclasses; the defaults are those of a solver that takes any load anywhere.
+    """Stepper of one skin. Immutable, and safe to use from several threads. Other code needs only the attributes below,
+    not the names of subclasses. The defaults are those of a solver for any load anywhere.
 
-    name: the solver. step_s: length of a substep [s]. state_size: numbers of a state, all 0 at rest.
-    unknowns: unknowns of the mesh that it moves.
-    points: numbers of the quadrature points of the layer at which it takes pressure, shape (p,), None for all of them.
-    error: relative error of the displacement that the stepper itself adds, by its own estimate; 0 if it adds none. If
-    the stepper has its own mesh, the error of this mesh is included, and the estimate may take as long as a short run.
-    any_pose: whether it is valid after body, arrays or focus have moved. any_course: whether it is valid for any
-        time course of the load, also if it starts from rest while sound is on.
+    name: name of the solver. step_s: length of a substep [s]. state_size: size of a state; at rest all numbers are 0.
+    unknowns: number of unknowns of its mesh.
+    points: numbers of the quadrature points of the layer whose pressure is used, shape (p,); None: all points.
+    error: estimated relative error of the displacement that the stepper adds, 0 for none. For a stepper with its own
+        mesh, the error of this mesh is included, and the estimate may take as long as a short run.
+    any_pose: whether it is valid after body, arrays or focus have moved.
+    any_course: whether it is valid for any time course of the load, also if it starts from rest while sound is on.
     of_class: whether it is valid only for a class of loads.
     adds_error: relative errors of displacement and velocity that a reduced model adds to those of its layer. The second
         is None without an estimate. None for other steppers.
-    exact_in_time: whether its substeps add no error.
-    factorises: whether it holds the factors of the whole layer.
+    exact_in_time: whether its substeps add no error. factorises: whether it has the factors of the whole layer.
     made_of: all inputs that determine the results of a reduced model.
     """
 
@@ -129,23 +128,21 @@ class SkinStepper(Protocol):
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float | Float32 | None:
-        """Carry a state (w, state_size), in place, from t0 to t1 [s]: all substeps of `loads`.
+        """Advance a state (w, state_size) in place from t0 to t1 [s], by all substeps of `loads`.
 
-        Returns displacement [m] and velocity [m/s] after each substep as `observe` reads them, shape (w, s, 2, m), or
-        None without it. Raises SceneError for other shapes and where t1 - t0 is not s substeps.
+        Returns displacement [m] and velocity [m/s] through the reader `observe` after each substep, (w, s, 2, m), or
+        None without a reader. Raises SceneError for other shapes, and if t1 - t0 is not s substeps.
         """
         ...
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
-        """Prepare an operator (m, ndof) on the unknowns of the layer. Raises SceneError for another number of
-        columns.
-        """
+        """Return the Reader of an operator (m, ndof) on unknowns of the layer. Raises SceneError for other shapes."""
         ...
 
     def coordinates(self, reader: Reader) -> tuple[Reader, Float] | None:
-        """Return a reader of r numbers, fewer than m, and the matrix (r, m) that converts them to the readings of
-        `reader`. With this reader, `step` leaves the product to be computed for many steps together. None for steppers
-        without coordinates.
+        """Return a reader of r < m numbers and the matrix (r, m) that converts them to the readings of `reader`.
+
+        With it, the product can be computed for many steps together. None for steppers without coordinates.
         """
         return None
 
@@ -154,13 +151,13 @@ class SkinStepper(Protocol):
         ...
 
     def describe(self) -> str:
-        """Return the description in words, for the summary of a run."""
+        """Return a description in words for the summary of a run."""
         return self.name
 
     def device_model(self, substeps: int, points: int, device: str) -> "DeviceModel | None":
-        """The stepper on a device; None if it stays on the CPU. substeps: substeps of a step; points: quadrature
-        points.
-        """
+        """Return the stepper on a device, or None if it stays on the CPU.
+
+        substeps: number of substeps of a step; points: number of quadrature points of the layer"""
         return None
 
     def device_worlds(self, most: int, device: str) -> "DeviceStep | None":
@@ -168,38 +165,39 @@ class SkinStepper(Protocol):
         return None
 
     def work(self, patterns: int, substeps: int) -> StepWork | None:
-        """Return the work of substeps for some patterns of pressure at its points, or None without dense products."""
+        """Return the work of substeps for a number of patterns, or None without dense products."""
         return None
 
     def outside(self, loads: SurfaceLoads) -> Outside:
-        """For a stepper of a class: return the part of loads outside it."""
+        """For a stepper of a class: return the part of loads outside the class."""
         raise TypeError(f"solver '{self.name}' accepts any load")
 
     def mixed(self, loads: SurfaceLoads) -> Float32:
-        """For a stepper of a class: weight of each pattern at the time of the force in a substep, shape (w, s, k)."""
+        """For a stepper of a class: return the weights of patterns at the time of the force in substeps, (w, s, k)."""
         raise TypeError(f"solver '{self.name}' accepts any load")
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
-        """For a reduced model: convert its state to the same motion as a state of WedgeStepper, (w, size of that).
+        """For a reduced model: convert its state to a state of WedgeStepper with the same motion, (w, size).
 
-        pressure_Pa: gives the present inward pressure at its points, shape (p,)
+        pressure_Pa: returns the present inward pressure at the points of the stepper [Pa], shape (p,)
         """
         raise TypeError(f"solver '{self.name}' is not a reduced model")
 
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
-        """For a reduced model: return operator @ displacement [m], shape (m,), under a pressure at its points, (p,),
-        times e^{-i w t}."""
+        """For a reduced model: return operator @ harmonic displacement [m], shape (m,).
+
+        pressure_Pa: amplitude of the pressure times e^{-i w t} at the points of the stepper [Pa], (p,)"""
         raise TypeError(f"solver '{self.name}' is not a reduced model")
 
     def projected(self, pressure_Pa: Float, operator: sparse.csr_matrix) -> Projection:
-        """For a reduced model of a predicted load: return the body in its vectors, see ReducedStepper."""
+        """For a reduced model of a predicted load: return the body projected on its vectors, see ReducedStepper."""
         raise TypeError(f"solver '{self.name}' is not made for a predicted load")
 
 
 class DeviceModel(Protocol):
-    """The numbers of a stepper on a device, for steps with this number of substeps.
+    """Data of a stepper on a device, for steps with a fixed number of substeps.
 
-    stepper: owner of the state; weight_rows: rows of `weights`
+    stepper: owner of the state; weight_rows: number of rows of `weights`
     """
 
     @property
@@ -214,23 +212,22 @@ class DeviceModel(Protocol):
         ...
 
     def calls(self, memory: StepMemory) -> Calls:
-        """Return the launches that do all substeps."""
+        """Return the kernel launches for all substeps."""
         ...
 
     def outside(self, sums: Sequence[Any]) -> Outside | None:
-        """Return the part of the load outside the class of the stepper, if it has a class, from the sums of squares of
-        the launches; sums: SECTIONS numbers, or arrays of one for each world."""
+        """Return the part of the load outside the class of the stepper, if it has a class.
+
+        sums: sums of squares from the launches, SECTIONS numbers or SECTIONS arrays with one number per world"""
         ...
 
 
 def check_step(
     stepper: SkinStepper, state: Float, loads: SurfaceLoads, points: int, t0: float, t1: float, any_length: bool = False
 ) -> bool:
-    """Raise SceneError for other shapes, and for substeps of another length unless any length is allowed.
+    """Return whether the substeps have the length of the stepper; points: number q of quadrature points of the layer.
 
-    points: number of points at which a layer takes pressure, q
-
-    Returns whether the substeps have the length of the stepper.
+    Raises SceneError for other shapes, and for substeps of another length unless `any_length`.
     """
     worlds, substeps, patterns = loads.first.shape
     if state.shape != (worlds, stepper.state_size) or worlds == 0 or state.strides[1] != state.itemsize:
@@ -255,7 +252,7 @@ def check_step(
 def world_by_world(
     stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None
 ) -> Float | None:
-    """Return `SkinStepper.step` of several worlds, one after the other, for a stepper whose arrays are those of one."""
+    """Do `SkinStepper.step` for several worlds, one after the other, with a stepper for one world."""
     records = []
     for world in range(len(state)):
         one = slice(world, world + 1)

@@ -1,4 +1,4 @@
-"""Choose the stepper of a skin in a scene, by key `solver`, by possible reductions, and by predicted time."""
+"""Choose the stepper of a skin in a scene by key `solver`, possible reductions and predicted time."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ class StepperChoice(NamedTuple):
     """The stepper with which a skin begins.
 
     name: name of the solver; why: reason in words
-    seconds, wedges_s: predicted of making and stepping it, and the whole layer
+    seconds, wedges_s: predicted time to make and step it, and to factorise and step the whole layer [s]
     """
 
     name: str
@@ -26,7 +26,7 @@ class StepperChoice(NamedTuple):
 
 
 class LayerWork(NamedTuple):
-    """Sizes of the work of stepping the layer of a scene on its wedges; see `palmfield.skin.costs.scene_choices`."""
+    """Amount of work to step the layer of a scene on its wedges; see `palmfield.skin.costs.scene_choices`."""
 
     dofs: float
     substeps: float
@@ -38,10 +38,10 @@ class LayerWork(NamedTuple):
 
 
 def chosen(requested: str, work: LayerWork, reason: str) -> StepperChoice:
-    """The stepper on the wedges of a scene; requested: value of key `solver`; asked: reason, in words, if the key
-    names a solver.
+    """Return the stepper on the wedges of a scene.
 
-    Raises SceneError where a reduced model or modes are requested but impossible.
+    requested: value of key `solver`; reason: reason in words if the key names a solver
+    Raises SceneError if a reduced model or modes are requested but impossible.
     """
     missing = {"modal": ("modes for every load", work.modal_refusal), "reduced": ("reduced model", work.refusal)}
     what, why_not = missing.get(requested, ("", None))
@@ -52,7 +52,7 @@ def chosen(requested: str, work: LayerWork, reason: str) -> StepperChoice:
     if requested != "auto":
         name, why = requested, reason
     elif work.refusal is None:
-        # For a predicted load, its reduced model is smaller than general modes
+        # The reduced model of a predicted load is smaller than general modes
         small_s, whole_s = seconds["reduced"], seconds["wedges"]
         name = "reduced" if small_s < whole_s else "wedges"
         why = f"the load is predictable; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"

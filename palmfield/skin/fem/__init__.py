@@ -1,4 +1,4 @@
-"""Finite elements of a skin layer: its matrices, loads and readers, and what steps the whole layer in time."""
+"""Finite elements of a skin layer: matrices, loads, readers, and the stepper of the whole layer."""
 
 import lazy_loader
 

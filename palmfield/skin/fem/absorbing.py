@@ -1,11 +1,10 @@
 """Sides that absorb waves: dashpots on the side faces, and a ring of graded damping outside the body.
 
-Dashpots (Lysmer & Kuhlemeyer 1969): traction -rho c v in every direction, c the shear speed at the given frequency.
-Across the face the compression speed would be usual. But skin is nearly incompressible, and the waves that leave a
-layer are guided waves near the shear speed. Error of the motion under the spot with 1, 2, 4 times c across: palm
-preset 12 mm deep with sides at 35 mm, 200 Hz, 1.9, 2.9, 7.8 % (fixed sides: 21 %); Ecoflex 20 mm deep with sides at
-40 mm, 70 Hz, 2.4, 3.2, 6.3 % (13 %). The ring adds a force -rho sigma v with sigma growing like the square of the
-distance into it.
+The dashpots (Lysmer & Kuhlemeyer 1969) give a traction -rho c v in every direction. c is the shear speed at the given
+frequency. The compression speed is usual along the normal of a side. But skin is nearly incompressible, and the waves
+that leave a layer are guided waves near the shear speed. Error of the motion under the spot for c, 2 c and 4 c along
+the normal: 1.9, 2.9, 7.8 % (palm preset, depth 12 mm, sides at 35 mm, 200 Hz; fixed sides: 21 %) and 2.4, 3.2, 6.3 %
+(Ecoflex, 20 mm, 40 mm, 70 Hz; 13 %). The ring adds a force -rho sigma v. sigma grows as the square of the distance.
 """
 
 import math
@@ -24,7 +23,7 @@ SPONGE_DECAY = 14.0
 
 
 def match_speed(material: Material, f_Hz: float) -> float:
-    """Return Re sqrt(G*(f) / rho) [m/s]: the resistance of a face to a plane shear wave, by density.
+    """Return Re sqrt(G*(f) / rho) [m/s]: the resistance of a face to a plane shear wave over the density.
 
     Raises SceneError unless f_Hz > 0.
     """
@@ -36,7 +35,7 @@ def match_speed(material: Material, f_Hz: float) -> float:
 def side_dashpots(mesh: WedgeMesh, rows: Sequence[Material], f_Hz: float) -> sparse.csr_matrix:
     """Return the damping [N s/m] of the side faces over all nodal components, csr, shape (3 nodes, 3 nodes).
 
-    rows: material of each row of elements, the one at the surface first; f_Hz: where the dashpots match [Hz], > 0
+    rows: material of each row of elements, from the surface down; f_Hz: frequency that the dashpots match [Hz], > 0
     """
     edges = rim_edges(mesh)
     line, rule = np.polynomial.legendre.leggauss(3)
@@ -80,7 +79,7 @@ def scatter(nodes: Int, blocks: Float, size: int) -> sparse.csr_matrix:
 
 
 def sponge(mesh: WedgeMesh, depth_in_ring: Float, width_m: float, speed_m_s: float) -> Float:
-    """Return the damping by mass of each column of elements [1/s], shape (triangles,), of a ring outside the body.
+    """Return the damping per mass of each column of elements [1/s], shape (triangles,), for a ring outside the body.
 
     depth_in_ring: distance of each surface vertex into the ring [m], 0 or below inside the body, shape (S,)
     width_m: width of the ring [m], > 0; speed_m_s: shear speed [m/s]

@@ -30,15 +30,15 @@ class SkinSystem:
 
     mass M [kg], damping C [N s/m], elastic E [N/m]: symmetric csr matrices over n free degrees of freedom, (n, n).
         They are assembled at first use.
-    directions: displacements of the nodes of the mesh, then of the foundation = directions @ u, csr, shape
-        (3 * (nodes + foundation nodes), n), orthonormal columns.
-    parts: the relaxing stiffnesses, one for each relaxation law, with its g_i, tau_i and t = eta / G_r.
+    directions: csr, shape (3 * (nodes + foundation nodes), n), orthonormal columns. directions @ u is the displacement
+        of the nodes of the mesh, then of the foundation.
+    parts: relaxing stiffnesses, one for each relaxation law, with its g_i, tau_i and t = eta / G_r.
     material: material of the surface.
-    dof_map: nodal displacements (3 * nodes, by node) = dof_map @ u, csr, shape (3 * nodes, n), the upper rows of
-        `directions`.
-    surface_node: surface node under which each free degree of freedom lies, shape (n,).
+    dof_map: csr, shape (3 * nodes, n), the upper rows of `directions`. dof_map @ u is the displacement of the nodes of
+        the mesh, node by node.
+    surface_node: surface node above each free degree of freedom, shape (n,).
     supported: whether base or sides hold the body against a push, so that a static solution exists.
-    materials: materials of the parts, available before they are assembled.
+    materials: materials of the parts, available before the parts are assembled.
     made_of: all inputs of the matrices, for `palmfield.cache.digest`.
     """
 
@@ -74,14 +74,14 @@ class SkinSystem:
         return self.dof_map.shape[1]
 
     def elimination_order(self) -> Int:
-        """Return the order in which the unknowns are eliminated from a matrix, shape (n,): old index by new place."""
+        """Return the order of elimination of the unknowns, shape (n,): old index at each new place."""
         return self.order.value
 
     def scaled_by(self, other: "SkinSystem") -> list[float] | None:
-        """Return the factors of mass, damping, elastic and part that give those of the layer with another material.
+        """Return the factors that convert mass, damping, elastic and part to those of another material.
 
-        other: system on the same mesh. None if more than the material differs, or if several materials, springs or
-        dashpots contribute to the matrices.
+        other: system of the other material on the same mesh
+        Returns None if more than the material differs, or if several materials, springs or dashpots contribute.
         """
         (one, *rest), (another, *others) = (tuple(dict.fromkeys(system.made_of[1])) for system in (self, other))
         mesh, theirs = self.mesh, other.mesh
@@ -107,21 +107,18 @@ def assemble(
 ) -> SkinSystem:
     """Assemble a layer.
 
-    material: material of the whole layer, or of each of its rows of elements, the one at the surface first.
+    material: material of the whole layer, or of each row of elements, from the surface down.
     base: "bonded" (no motion), "free_slip" (no motion along the normal of the base), "free" (no traction), Springs, or
-    a
-        Foundation (sheets below the mesh; the sides continue along them).
-    side: "fixed" (no motion), "free" (no traction), "roller" (no motion along the normal of the side, square to the
-    axis)
-        or "absorbing" (dashpots).
-        A free-slip base under roller sides leaves the disc free to spin about its axis. Its static sideways motion is
-        then an arbitrary rotation by round-off; its normal motion is right.
-    foundation_Pa_m: (normal, tangential) stiffness by area [Pa/m] of the material below, in place of `base`. The
+        a Foundation (sheets below the mesh; the sides continue along them).
+    side: "fixed" (no motion), "free" (no traction), "absorbing" (dashpots), or "roller" (no motion along the normal of
+        the side, which is square to the axis). A free-slip base under roller sides lets the disc spin about its axis:
+        round-off then adds an arbitrary rotation to its static sideways motion. Its normal motion is right.
+    foundation_Pa_m: (normal, tangential) stiffness per area [Pa/m] of the material below, in place of `base`. The
         tangential part is a shear spring and relaxes with the deepest material; the normal part is elastic.
     absorbing_Hz: frequency at which the dashpots of absorbing sides match the material [Hz], > 0.
-    sponge_1_s: damping by mass of each column of elements [1/s], shape (triangles,); none by default.
-    Raises SceneError for other conditions, a roller side without an axis, a number of materials that is not that of
-    the mesh, absorbing sides without a frequency, or foundation stiffnesses not >= 0.
+    sponge_1_s: damping per mass of each column of elements [1/s], shape (triangles,); none by default.
+    Raises SceneError for other conditions, a roller side without an axis, another number of materials than rows,
+    absorbing sides without a frequency, and foundation stiffnesses not >= 0.
     """
     if (isinstance(base, str) and base not in BASES) or side not in SIDES:
         raise SceneError(f"base '{base}', side '{side}': base is one of {', '.join(BASES)}, side of {', '.join(SIDES)}")
@@ -139,7 +136,7 @@ def assemble(
     if side == "absorbing" and matched_Hz is None:
         raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
     if matched_Hz is not None and not 0.0 < matched_Hz < np.inf:
-        # Checked before the matrices, which are made at first use
+        # Checked here, because the matrices are made at first use
         raise SceneError(f"absorbing sides: frequency is {matched_Hz} Hz; give one above 0")
     held_base: BaseKind = "free" if isinstance(below.base, Springs) else below.base
     directions = _free_directions(mesh, held_base, side, below.levels)
@@ -158,7 +155,7 @@ def assemble(
             return result
 
         sums = _sums(mesh, rows, below, springs, shear_spring, matched_Hz, sponge_1_s)
-        # Each is freed before the next is made
+        # The sum of one part is freed before the next part is made
         parts = tuple(Part(free(matrix), owner) for matrix, owner in map(sums.relaxing.pop, list(sums.relaxing)))
         mass, damping, elastic = (free(sums.total.pop(name)) for name in ("mass", "damping", "elastic"))
         return Matrices(mass, damping, elastic, parts)
@@ -178,7 +175,7 @@ def assemble(
 
 
 def _materials_of_parts(rows: list[Material], below: Foundation, shear_spring: float) -> tuple[Material, ...]:
-    """Return the first material of each relaxation law, in the order in which `_sums` meets them."""
+    """Return the first material of each relaxation law, in the order of `_sums`."""
     met = [*rows, *(sheet.material for sheet in below.sheets), *([rows[-1]] if shear_spring > 0.0 else [])]
     first: dict[tuple, Material] = {}
     for material in met:
@@ -195,8 +192,10 @@ def _sums(
     matched_Hz: float | None,
     sponge_1_s: Float | None,
 ) -> "_Sums":
-    """The matrices over all nodes; springs, shear_spring: below the mesh [Pa/m]; matched_Hz: frequency of absorbing
-    sides, None for others. Else see `assemble`."""
+    """Return the matrices over all nodes; other arguments as for `assemble`.
+
+    springs, shear_spring: below the mesh [Pa/m]; matched_Hz: frequency of absorbing sides, None for other sides
+    """
     deviatoric, volumetric, unit_mass = element_matrices(mesh)
     pattern = _Pattern(mesh)
     sums = _Sums(3 * (len(mesh.nodes) + below.levels * mesh.surface_nodes))
@@ -245,7 +244,7 @@ def _sums(
 
 
 class _Sums:
-    """Sums over the components of all nodes, shape (size, size), and what relaxes by its law."""
+    """Sums over the components of all nodes, shape (size, size); relaxing: by relaxation law."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -262,7 +261,7 @@ class _Sums:
 
 
 def placed(matrix: sparse.csr_matrix, first: int, size: int) -> sparse.csr_matrix:
-    """Return a matrix as a diagonal block of one of shape (size, size), from row `first` on."""
+    """Return a matrix of shape (size, size) with the given diagonal block from row `first` on."""
     if matrix.shape == (size, size):
         return matrix
     entries = matrix.tocoo()
@@ -270,7 +269,7 @@ def placed(matrix: sparse.csr_matrix, first: int, size: int) -> sparse.csr_matri
 
 
 def materials_of_rows(mesh: WedgeMesh, material: Material | Sequence[Material]) -> list[Material]:
-    """Return one material for each row of elements. Raises SceneError for another number than the mesh has rows."""
+    """Return one material for each row of elements. Raises SceneError for another number of materials than rows."""
     count = (mesh.levels - 1) // 2
     rows = [material] * count if isinstance(material, Material) else list(material)
     if len(rows) != count:
@@ -279,7 +278,7 @@ def materials_of_rows(mesh: WedgeMesh, material: Material | Sequence[Material]) 
 
 
 def _by_row(mesh: WedgeMesh, values: list[float]) -> Float:
-    """Return a value for each element from those of the rows, shape (m, 1, 1)."""
+    """Return the value of its row for each element, shape (m, 1, 1)."""
     return np.repeat(values, len(mesh.surface_triangles6))[:, None, None]
 
 
@@ -288,12 +287,12 @@ def _supported(mesh: WedgeMesh, base: str, side: str, springs: Springs) -> bool:
         return True
     if springs.normal_Pa_m > 0.0 and (springs.tangential_Pa_m > 0.0 or side == "roller"):
         return True
-    # A frictionless base round a closed body, or under one with roller sides, allows only rotations, without load.
+    # A frictionless base allows only rotations, without load, if the body is closed or has roller sides.
     return base == "free_slip" and (side == "roller" or not len(mesh.side))
 
 
 def element_matrices(mesh: WedgeMesh) -> tuple[Float, Float, Float]:
-    """Deviatoric and volumetric stiffness (m, 18, 18, 3, 3) [m] and mass (m, 18, 18) [m^3] for unit moduli, density."""
+    """Return deviatoric and volumetric stiffness (m, 18, 18, 3, 3) [m] and mass (m, 18, 18) [m^3], for unit values."""
     points, rule = prism_rule()
     values, slopes = displacement_shape(points)
     basis = volume_basis(points)
@@ -355,7 +354,7 @@ class _Pattern:
         return np.bincount(self.slot, weights=values.ravel(), minlength=len(self.indices)).astype(np.float64)
 
     def blocks(self, *parts: tuple[Float, Float]) -> sparse.csr_matrix:
-        """Sum of factors (m, 1, 1) times element blocks (m, 18, 18, 3, 3), as a csr matrix over 3 components a node."""
+        """Return the sum of factors (m, 1, 1) times element blocks (m, 18, 18, 3, 3), csr, 3 components per node."""
         data = np.empty((len(self.indices), 3, 3))
         for i in range(3):
             for j in range(3):
@@ -371,7 +370,7 @@ class _Pattern:
 def _free_directions(mesh: WedgeMesh, base: BaseKind, side: SideKind, deeper: int) -> sparse.csr_matrix:
     """Return the orthonormal directions in which each node may move, as columns over the components of all nodes.
 
-    deeper: levels of nodes below the mesh, the last of which lies on the base; the sides continue along them
+    deeper: number of node levels below the mesh; the sides continue along them and the last level lies on the base
     """
     levels = mesh.levels + deeper
     count = levels * mesh.surface_nodes

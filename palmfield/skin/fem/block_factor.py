@@ -1,9 +1,8 @@
 """A factorised matrix as dense blocks, split into parts that threads solve in parallel.
 
-The solve of SuperLU goes through both triangles number by number on one thread. The two passes over blocks
-(`warp_kernels.supernodes`, `warp_kernels.block_solves`) read half as much, in storage order, and solve independent
-branches of the elimination tree at the same time. For layers of 4000 to 7000 unknowns that is twice as fast on one
-thread, and three times on two.
+SuperLU solves number by number on one thread. The two passes over blocks (`warp_kernels.supernodes`,
+`warp_kernels.block_solves`) read half as much, in storage order. They solve independent branches of the elimination
+tree in parallel. For layers of 4000 to 7000 unknowns this is twice as fast on one thread, and three times on two.
 """
 
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from warp_kernels.supernodes import WIDTH, Supernodes, lanes
 
 
 class Part(NamedTuple):
-    """Unknowns and supernodes that are solved together, each from the first to the one after the last."""
+    """Ranges of unknowns and supernodes that are solved together: the first, and the one after the last."""
 
     first: int
     last: int
@@ -29,11 +28,11 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True)
 class BlockFactor:
-    """The data of the solve kernels. Unknowns are numbered by places: part by part, each padded to groups of WIDTH.
+    """Data of the solve kernels. Unknowns are numbered by places: part by part, each padded to groups of WIDTH.
 
-    size: places, a multiple of WIDTH. place: place of each unknown of the matrix, shape (n,).
-    branches: independent parts. trunk: the part into which all branches lead.
-    nodes: the blocks. widest: unknowns of the largest supernode. stored: numbers in all blocks.
+    size: number of places, a multiple of WIDTH. place: place of each unknown of the matrix, shape (n,).
+    branches: independent parts. trunk: the part that all branches lead to.
+    nodes: the blocks. widest: number of unknowns of the largest supernode. stored: count of numbers in all blocks.
     """
 
     size: int
@@ -48,9 +47,9 @@ class BlockFactor:
 def block_factor(matrix: Any, order: Int, *, multiplied: bool = True) -> BlockFactor:
     """Factorise a real symmetric positive definite matrix, sparse (n, n), eliminated in this order, shape (n,).
 
-    multiplied: whether a block contains S^-1 of its own part and L_below L_own^-1, so that a solution reads the least
-    data; otherwise it contains L_own^-1 and L_below, which makes solutions three digits more precise
-    Raises RuntimeError where the matrix is not positive definite.
+    multiplied: whether a block contains S^-1 of its own part and L_below L_own^-1: a solution then reads the least
+    data. Otherwise a block contains L_own^-1 and L_below: solutions are then three digits more precise.
+    Raises RuntimeError if the matrix is not positive definite.
     """
     lower = lower_triangle(matrix, order)
     nodes = supernodes(lower)

@@ -12,7 +12,7 @@ from palmfield.skin.problem import Body, Layer
 
 
 def build(body: Body, sizes: Sizes) -> SkinSystem:
-    """Return mesh and matrices. Raises SceneError if they cannot be made, for example for an inverted element."""
+    """Return mesh and matrices. Raises SceneError if this is impossible, for example for an inverted element."""
     side = body.side or "absorbing"
     if isinstance(body, Layer):
         patch = body.patch

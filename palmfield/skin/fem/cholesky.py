@@ -1,7 +1,7 @@
-"""Solves with a real symmetric positive definite matrix, for one right-hand side or many.
+"""Solve with a real symmetric positive definite matrix, for one right-hand side or many.
 
-A single column is solved by kernels, at the speed of reading the factor. Many columns are solved together by dense
-products, at about fifteen times the rate. Two threads share the work in both cases.
+Kernels solve a single column, at the speed of reading the factor. Dense products solve many columns together, at about
+fifteen times the rate. Two threads share the work in both cases.
 """
 
 import threading
@@ -20,7 +20,7 @@ from warp_kernels import block_solves as kernels
 from warp_kernels.supernodes import WIDTH, lanes
 
 FEW, CHUNK = 4, 128
-"""Number of columns up to which each is solved separately, and largest number that is solved together."""
+"""Largest number of columns that are solved separately, and largest number that are solved together."""
 
 
 class Cholesky:
@@ -59,11 +59,11 @@ class Cholesky:
 
     @property
     def fill(self) -> int:
-        """Numbers in both triangular factors."""
+        """Count of numbers in both triangular factors."""
         return 2 * self._factor.stored
 
     def solve(self, right: Any) -> Any:
-        """Return the solution, shape (n,) or (n, k), of matrix @ solution = right; complex where right is."""
+        """Return the solution, shape (n,) or (n, k), of matrix @ solution = right; complex if `right` is complex."""
         if right.dtype.kind == "c":
             return self.solve(right.real) + 1j * self.solve(right.imag)
         columns = right[:, None] if right.ndim == 1 else right
@@ -92,7 +92,7 @@ class Cholesky:
         factor, trunk, threads = self._factor, self._factor.trunk, min(cores(), len(self._down))
         moved = np.zeros((factor.size + 1, columns.shape[1]))
         moved[factor.place] = columns
-        # Contribution of a branch to the right side of the trunk, which branches must not write at the same time
+        # Contribution of each branch to the right side of the trunk, separate because branches run in parallel
         updates = [np.zeros((factor.size + 1 - trunk.first, columns.shape[1])) for _ in factor.branches]
         with one_blas_thread:
             pairs = zip(factor.branches, updates, strict=True)
@@ -106,7 +106,7 @@ class Cholesky:
         return moved[factor.place]
 
     def _down_many(self, part: Part, moved: Float, trunk: Float) -> None:
-        """Forward pass of a part, in place; its contribution to the right side of the trunk is added to `trunk`."""
+        """Do the forward pass of a part, in place; add its contribution to the right side of the trunk to `trunk`."""
         first = self._factor.trunk.first
         for number in range(part.first_node, part.last_node):
             column, inverse, below, rows = self._block(number)
@@ -118,7 +118,7 @@ class Cholesky:
             trunk[rows[cut:] - first] -= away[cut:]
 
     def _up_many(self, part: Part, moved: Float) -> None:
-        """Backward pass of a part, in place."""
+        """Do the backward pass of a part, in place."""
         for number in reversed(range(part.first_node, part.last_node)):
             column, inverse, below, rows = self._block(number)
             own = moved[column : column + inverse.shape[1]]

@@ -1,4 +1,4 @@
-"""Solves with a complex symmetric matrix, such as a harmonic one. Few solves, so blocks are not rearranged."""
+"""Solve with a complex symmetric matrix, such as a harmonic one. Solves are few, so blocks are not rearranged."""
 
 import threading
 from typing import Any
@@ -11,8 +11,7 @@ from palmfield.types import Complex, Int
 
 
 class ComplexFactor:
-    """Factor L L^T of one matrix, sparse (n, n), eliminated in an order (n,); see `eliminate` for the allowed matrices
-    and the errors.
+    """Factor L L^T of one matrix, sparse (n, n), eliminated in an order (n,). Matrices and errors: see `eliminate`.
 
     A factor serves one thread at a time: others wait.
     """
@@ -30,7 +29,7 @@ class ComplexFactor:
 
     @property
     def fill(self) -> int:
-        """Numbers in both triangular factors."""
+        """Count of numbers in both triangular factors."""
         return 2 * sum(node.stored for node in self._nodes)
 
     def solve(self, right: Any) -> Any:

@@ -2,12 +2,12 @@
 
 u_x = i a(z) e^{ikx}, u_z = b(z) e^{ikx} make all matrices real and symmetric in (a, b):
 int (K - 2/3 mu) (b' - k a)^2 + 2 mu (k^2 a^2 + b'^2) + mu (a' + k b)^2 - rho w^2 (a^2 + b^2) dz. In the K term a is
-projected on polynomials of one degree less, those of b': the volume then does not lock at any degree.
+projected on polynomials of one degree less, those of b'. So the volume does not lock at any degree.
 
-Unknowns are the displacement of the top of a sheet and its rise from there down, never the displacement of both ends.
-So a rigid motion of the whole depth gives exactly 0 strain. Between two ends strain is a difference of moduli over
-heights. In it thin free sheets under long slow waves lose their digits: their inertia is 1e-10 of it, their loss less.
-Rounding made that loss negative, by up to 3e-5 of the impedance, so that such a foundation gave energy.
+Unknowns are the displacement of the top of a sheet, and the rise: displacement below minus displacement of the top.
+So a rigid motion of the whole depth gives exactly 0 strain. With displacements of both ends as unknowns, thin free
+sheets under long slow waves lost their digits: their inertia is 1e-10 of the stiffness terms, and their loss is less.
+Rounding made the loss negative, by up to 3e-5 of the impedance, so that such a foundation added energy.
 """
 
 import functools
@@ -24,14 +24,14 @@ from palmfield.types import Complex, Float
 
 DEGREE = 12
 REACH = 5.0
-"""Largest k x thickness of one polynomial piece: e^{-5 z} by degree 12 errs by 1e-8."""
+"""Largest k x thickness of one polynomial piece: degree 12 approximates e^{-5 z} with an error of 1e-8."""
 
 
 def condensed(k: Float, f_Hz: float, sheets: Sequence[Sheet], degree: int | None = None) -> Complex:
-    """Dynamic stiffness of sheets [Pa/m], shape (n, 4, 4): by (a, b) on their top, then by their rise to the bottom.
+    """Return the dynamic stiffness of sheets [Pa/m], shape (n, 4, 4), for (a, b) on the top, then rise to the bottom.
 
-    k: wavenumbers [rad/m], > 0, shape (n,); f_Hz: >= 0, under e^{-i w t}; sheets: the first on top
-    degree: degree of one polynomial for each sheet; None for so many pieces of DEGREE that the result is exact
+    k: wavenumbers [rad/m], > 0, shape (n,); f_Hz: >= 0, under e^{-i w t}; sheets: from the top down
+    degree: degree of the one polynomial of each sheet; None: as many pieces of DEGREE as an exact result needs
     """
     k = np.asarray(k, dtype=float)
     total = None
@@ -47,13 +47,13 @@ def condensed(k: Float, f_Hz: float, sheets: Sequence[Sheet], degree: int | None
 def impedance(
     k: Float, f_Hz: float, sheets: Sequence[Sheet], base: BaseKind | Springs = "bonded", degree: int | None = None
 ) -> Complex:
-    """Traction by displacement (a, b) on the top of sheets on a base [Pa/m], shape (n, 2, 2); see condensed."""
+    """Return the traction per displacement (a, b) on the top of sheets on a base [Pa/m], (n, 2, 2); see condensed."""
     matrix = condensed(k, f_Hz, sheets, degree)
     if isinstance(base, Springs):
         s = -2j * math.pi * f_Hz
         rates = [base.tangential_Pa_m + base.tangential_Pa_s_m * s, base.normal_Pa_m + base.normal_Pa_s_m * s]
         return _without(_on(matrix, np.diag(rates)), [2, 3])
-    # A fixed bottom rises by minus the displacement of the top.
+    # At a fixed bottom the rise is minus the displacement of the top.
     rising = {"bonded": [], "free_slip": [0], "free": [0, 1]}[base]
     moved = np.concatenate([np.eye(2), -np.eye(2)])
     moved[[2 + i for i in rising]] = 0.0
@@ -62,24 +62,24 @@ def impedance(
 
 
 def on_impedance(upper: Complex, below: Complex) -> Complex:
-    """Normal compliance of the top of sheets of condensed stiffness (n, 4, 4) on an impedance (n, 2, 2), shape (n,)."""
+    """Return the normal compliance of sheets, shape (n,): condensed stiffness (n, 4, 4) on an impedance (n, 2, 2)."""
     return np.linalg.inv(_on(upper, below))[:, 1, 1].astype(complex)
 
 
 def _on(upper: Complex, below: Complex) -> Complex:
-    """Condensed stiffness of sheets (n, 4, 4) with an impedance (2, 2) or (n, 2, 2) at their bottom."""
+    """Return the condensed stiffness of sheets (n, 4, 4) with an impedance (2, 2) or (n, 2, 2) at their bottom."""
     return upper + np.tile(below, (2, 2))
 
 
 def _joined(upper: Complex, lower: Complex) -> Complex:
-    """Condensed stiffness of sheets on sheets. Unknowns on the way: the top, the whole rise, the lower sheets' rise."""
+    """Return the condensed stiffness of sheets on sheets, by way of top, whole rise, and rise of the lower sheets."""
     one, none = np.eye(2), np.zeros((2, 2))
     above, below = np.block([[one, none, none], [none, one, -one]]), np.block([[one, one, -one], [none, none, one]])
     return _without(above.T @ upper @ above + below.T @ lower @ below, [4, 5])
 
 
 def _without(matrix: Complex, inner: Sequence[int]) -> Complex:
-    """Return the stiffness of the other unknowns where `inner` carry no load; their rows and columns are left out."""
+    """Return the stiffness of the other unknowns if the unknowns `inner` carry no load."""
     outer = np.setdiff1d(np.arange(matrix.shape[1]), inner)
     across = matrix[:, inner][:, :, outer]
     inside = np.linalg.solve(matrix[:, inner][:, :, inner], across) if len(inner) else across
@@ -87,10 +87,10 @@ def _without(matrix: Complex, inner: Sequence[int]) -> Complex:
 
 
 def _piece(k: Float, f_Hz: float, material: Material, h: float, degree: int) -> Complex:
-    """Condensed stiffness of one polynomial piece of height h [m], shape (n, 4, 4)."""
+    """Return the condensed stiffness of one polynomial piece of height h [m], shape (n, 4, 4)."""
     shear, bulk = complex_shear(material, f_Hz), complex_bulk(material, f_Hz)
     mass, slope, mixed, projected = _by_rise(degree, h)
-    # z points up and nodes are numbered downwards, so a derivative by z is minus that by depth.
+    # z points up and nodes are numbered downwards, so a derivative by z is minus the derivative by depth.
     wave = k[:, None, None]
     lame = bulk - 2.0 / 3.0 * shear
     inertia = material.density_kg_m3 * (2.0 * math.pi * f_Hz) ** 2 * mass
@@ -105,11 +105,11 @@ def _piece(k: Float, f_Hz: float, material: Material, h: float, degree: int) -> 
 
 
 def _by_rise(degree: int, h: float) -> tuple[Float, Float, Float, Float]:
-    """Return line_matrices with the constant 1 for the first function: the others then weigh rises from the top."""
+    """Return line_matrices with the constant 1 as first function; the others then multiply rises from the top."""
     whole = np.eye(degree + 1)
     whole[:, 0] = 1.0
     mass, slope, mixed, projected = (whole.T @ matrix @ whole for matrix in line_matrices(degree, h))
-    # Zeros from the derivative of 1, and integrals of the other derivatives: 1 for the lowest, which ends at 1.
+    # The derivative of 1 is 0. The other derivatives have integral 0, except the lowest (function 1 at the bottom): 1.
     slope[0], slope[:, 0], mixed[:, 0] = 0.0, 0.0, 0.0
     mixed[0, 1:] = np.arange(1, degree + 1) == degree
     return mass, slope, mixed, projected
@@ -135,9 +135,9 @@ def _unit_line(degree: int) -> tuple[Float, Float, Float, Float]:
 
 
 def line_matrices(degree: int, h: float) -> tuple[Float, Float, Float, Float]:
-    """int N_i N_j, N_i' N_j', N_i N_j' and Pi N_i Pi N_j over a height h [m], by depth, each (degree + 1, degree + 1).
+    """Return int N_i N_j, N_i' N_j', N_i N_j' and Pi N_i Pi N_j over a height h [m], each (degree + 1, degree + 1).
 
-    N: Lagrange functions of Lobatto points, from the top down; Pi: projection on one degree less
+    N: Lagrange functions of depth on Lobatto points, from the top down; Pi: projection on one degree less
     """
     mass, slope, mixed, projected = _unit_line(degree)
     return 0.5 * h * mass, 2.0 / h * slope, mixed, 0.5 * h * projected

@@ -1,8 +1,8 @@
-"""Sparse factors L L^T by dense blocks: groups of unknowns that are eliminated together, and the remainder.
+"""Sparse factors L L^T by dense blocks: groups of unknowns are eliminated together.
 
-Fronts (Duff & Reid, ACM Trans. Math. Softw. 9, 1983): a supernode is a run of unknowns with the same rows below. Its
-front is the remainder of the matrix and of the supernodes before it in these columns; dense products carry the rest
-on to the next. Independent branches of the elimination tree run in parallel.
+The method is that of fronts (Duff & Reid, ACM Trans. Math. Softw. 9, 1983). A supernode is a run of unknowns with the
+same rows below. Its front is the sum, in these columns, of the matrix and the remainders of earlier supernodes. Dense
+products compute its own remainder for later supernodes. Independent branches of the elimination tree run in parallel.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,20 +22,20 @@ from palmfield.types import Complex, Float, Int
 from warp_kernels import elimination as kernels
 
 BRANCHES = 2
-"""Parts that run in parallel. Not the number of cores: results repeat to the bit on any machine."""
+"""Number of parts that run in parallel. It is not the number of cores, so that all machines give the same bits."""
 MOST_ADDED = 0.1
-"""Share of the numbers of two supernodes by which merging them may grow the block."""
+"""Largest growth of the stored numbers by a merger of two supernodes, as a share."""
 SMALLEST = 16
-"""Unknowns up to which supernodes are merged at any cost."""
+"""Number of unknowns up to which supernodes are always merged."""
 COLUMNS = 32
-"""Size of a complex block up to which its root is computed column by column."""
+"""Largest size of a complex block whose root is computed column by column."""
 SPLIT = 256
-"""Number of rows from which two threads pay for the products of the trunk."""
+"""Least number of rows for which products of the trunk use two threads."""
 
 
 @dataclass
 class Supernode:
-    """A run of columns, and the rows below it, rising, in order of elimination."""
+    """A run of columns, and the rows below it, ascending, numbered in order of elimination."""
 
     first: int
     last: int
@@ -50,7 +50,7 @@ class Supernode:
 def lower_triangle(matrix: Any, order: Int) -> sparse.csc_matrix:
     """Return the lower triangle of a symmetric matrix, sparse (n, n), in elimination order.
 
-    order: old index by new place, shape (n,)
+    order: old index at each new place, shape (n,)
     """
     place = np.empty(len(order), np.int32)
     place[order] = np.arange(len(order), dtype=np.int32)
@@ -89,7 +89,7 @@ def _tree(matrix: sparse.csr_matrix) -> tuple[Int, Int]:
 
 
 def _merged(runs: list[Supernode]) -> list[Supernode]:
-    """Merge consecutive supernodes where that adds few numbers."""
+    """Merge consecutive supernodes if this adds few numbers."""
     result: list[Supernode] = []
     for run in runs:
         result.append(run)
@@ -106,8 +106,7 @@ def _merged(runs: list[Supernode]) -> list[Supernode]:
 
 
 def branches(supernodes: list[Supernode]) -> list[list[int]]:
-    """Divide the supernodes into a trunk and BRANCHES parts of about equal work; return the numbers of the supernodes
-    of each, in order."""
+    """Return the numbers of the supernodes, in order, of a trunk and of BRANCHES parts of about equal work."""
     parents = parents_of(supernodes)
     children: list[list[int]] = [[] for _ in supernodes]
     roots = []
@@ -150,7 +149,7 @@ def parents_of(supernodes: list[Supernode]) -> list[int]:
 
 
 def _shared(roots: list[int], work: Float) -> list[list[int]]:
-    """Return the trees by the part that gets them: the largest first, each to the part with least to do."""
+    """Assign trees to parts, the largest tree first, each to the part with the least work; return the trees by part."""
     shares: list[list[int]] = [[] for _ in range(BRANCHES)]
     sums = [0.0] * BRANCHES
     for number in sorted(roots, key=lambda number: (-work[number], number)):
@@ -166,13 +165,13 @@ def eliminate(
     groups: Sequence[Sequence[int]],
     store: Callable[[int, Any, Any], object],
 ) -> None:
-    """The factor L of a symmetric matrix L L^T, supernode by supernode.
+    """Compute the factor L of a symmetric matrix L L^T, supernode by supernode.
 
-    matrix: its lower triangle, as for `supernodes`: real and positive definite, or complex with a positive definite
-        real part, perhaps after a turn of phase; groups: as returned by `branches`.
-    store: called with the number of each supernode, the inverse of its own part of L, lower triangular (w, w), and the
-        part of L below, (rows, w); from several threads.
-    Raises RuntimeError where a real matrix is not positive definite, or a complex one's pivot is 0.
+    matrix: its lower triangle, as for `supernodes`; real and positive definite, or complex with a positive definite
+        real part, perhaps after multiplication by a phase factor. groups: as returned by `branches`.
+    store: called from several threads with the number of each supernode, the inverse of its own part of L (lower
+        triangular, (w, w)), and the part of L below, (rows, w).
+    Raises RuntimeError if a real matrix is not positive definite, or if a pivot of a complex matrix is 0.
     """
     parents = parents_of(supernodes)
     updates: list[list[tuple[int, Any]]] = [[] for _ in supernodes]
@@ -181,7 +180,7 @@ def eliminate(
     def go(numbers: Sequence[int], threads: int) -> None:
         for number in numbers:
             node = supernodes[number]
-            # In a fixed order, independent of the order of threads
+            # The order of the sum is fixed, independent of the order of threads
             before = [(supernodes[child].rows, rest) for child, rest in sorted(updates[number], key=lambda one: one[0])]
             updates[number].clear()
             panel, rest = _front(matrix, node, before)
@@ -208,7 +207,7 @@ def eliminate(
 
 
 def _real_root(own: Float) -> Float:
-    """Return the inverse of the lower triangle L of own = L L^T, whose lower triangle is read."""
+    """Return the inverse of the lower triangle L of own = L L^T; only the lower triangle of `own` is read."""
     root, failed = lapack.dpotrf(own, lower=1)
     if failed:
         raise np.linalg.LinAlgError
@@ -216,7 +215,7 @@ def _real_root(own: Float) -> Float:
 
 
 def _complex_root(own: Complex) -> Complex:
-    """As `_real_root`, without conjugates, which no library offers: by halves, down to a few columns."""
+    """Return the same as `_real_root` for a complex symmetric matrix, by halves; no library offers it."""
     size = len(own)
     inverse = np.zeros((size, size), dtype=complex)
     if size <= COLUMNS:
@@ -239,7 +238,7 @@ def _complex_root(own: Complex) -> Complex:
 def _front(matrix: sparse.csc_matrix, node: Supernode, before: list[tuple[Int, Any]]) -> tuple[Any, Any]:
     """Return the columns of a supernode, (w + rows, w), and the sum of the remainders for the rows below, (rows, rows).
 
-    Of symmetric parts the lower triangles are valid. before: rows and remainder of each supernode before.
+    Only the lower triangles of symmetric parts are valid. before: rows and remainder of each earlier supernode.
     """
     first, last, rows = node.first, node.last, node.rows
     size = last - first
@@ -260,16 +259,16 @@ def _front(matrix: sparse.csc_matrix, node: Supernode, before: list[tuple[Int, A
 
 
 def _runs(places: Int, cut: int) -> list[tuple[int, int, int]]:
-    """Rising places by runs of one after another, cut there: first of each, the one after its last, and its place."""
+    """Return the runs of consecutive `places`, split at place `cut`: index of first, index after last, first place."""
     breaks = np.flatnonzero((np.diff(places) != 1) | (places[1:] == cut)) + 1
     starts = [0, *breaks.tolist()]
     return list(zip(starts, [*starts[1:], len(places)], places[starts].tolist(), strict=True))
 
 
 def _subtract(rest: Any, below: Any, threads: int) -> None:
-    """rest -= below @ below.T, the lower triangle at least; in two halves that are as much work.
+    """Compute rest -= below @ below.T, at least the lower triangle, in two halves of equal work.
 
-    One thread takes the same halves as two: BLAS rounds another way in blocks of another size.
+    One thread uses the same halves as two, because the rounding of BLAS depends on the size of blocks.
     """
     if len(rest) < SPLIT:
         rest -= below @ below.T

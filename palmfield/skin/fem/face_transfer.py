@@ -12,14 +12,13 @@ from palmfield.types import Float
 
 
 class FaceTransfer:
-    """Data on the wedges, which define loads and operators, for a stepper on its own mesh.
+    """Matrices between the wedges, which define loads and operators, and the face of a stepper with its own mesh.
 
     system: system of the wedges. points: nodes of the other face [m], shape (f, 3).
-    weights: motion of the wedges' surface nodes by that of the nodes of the other face, csr, shape (S, f).
-    pressure: pressure at the nodes of the other face [Pa] by pressure at the quadrature points of the layer, csr, shape
-        (f, q): the quadratic polynomial through the six points of each triangle.
-    motion: unknowns of the wedges by displacement of the nodes of the other face, csr, shape (ndof, 3 f); 0 below the
-    face.
+    weights: from motion at the nodes of the other face to motion at the surface nodes of the wedges, csr, (S, f).
+    pressure: from pressure at the quadrature points of the layer to pressure at the nodes of the other face, csr,
+        (f, q); it evaluates the quadratic polynomial through the six points of each triangle.
+    motion: from displacement of the nodes of the other face to unknowns of the wedges, csr, (ndof, 3 f); 0 below it.
     """
 
     def __init__(self, system: SkinSystem, points: Float, weights: sparse.csr_matrix) -> None:
@@ -37,7 +36,7 @@ class FaceTransfer:
         self._below = unknowns[:, nodes:]
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
-        """Read displacement and velocity of the nodes of the other face as an operator (m, ndof) on the wedges would.
+        """Convert an operator (m, ndof) on the wedges to a Reader of the nodes of the other face.
 
         Raises SceneError for another number of columns and for an operator that reads below the surface.
         """
@@ -52,16 +51,15 @@ class FaceTransfer:
 
 
 def read(motion: Float, reader: Reader) -> Float:
-    """Displacement and velocity, shape (s, 2, m), by those of the nodes of the other face, shape (s, 2, f, 3)."""
+    """Return displacement and velocity, (s, 2, m), from the motion of the nodes of the other face, (s, 2, f, 3)."""
     flat = motion.reshape(2 * len(motion), -1)
     return np.ascontiguousarray((reader.matrix @ flat.T).T).reshape(len(motion), 2, reader.count)
 
 
 def ends_of_substeps(pressure: sparse.csr_matrix, patterns: Float, first: Float, last: Float) -> Float:
-    """Return the pressure at the nodes of a face at both ends of each substep, shape (2 s, f), start and end in turn.
+    """Return the pressure at the nodes of a face at start and end of each substep, alternating, shape (2 s, f).
 
-    pressure: pressure of FaceTransfer, (f, q); patterns: patterns at the quadrature points [Pa], (k, q); first, last:
-    weights, (s, k)
+    pressure: as in FaceTransfer; patterns: at the quadrature points [Pa], (k, q); first, last: weights, (s, k)
     """
     weights = np.stack([first, last], axis=1).reshape(2 * len(first), -1)
     there = np.ascontiguousarray((pressure @ np.asarray(patterns, dtype=np.float64).T).T)

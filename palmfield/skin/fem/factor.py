@@ -15,7 +15,7 @@ from palmfield.phases import phase
 from palmfield.skin.fem.cholesky import Cholesky
 from palmfield.types import Int
 
-if TYPE_CHECKING:  # imported at use: most matrices are real, and PARDISO is an extra
+if TYPE_CHECKING:  # imported at first use: most matrices are real, and PARDISO is an optional extra
     from palmfield.skin.fem.complex_factor import ComplexFactor
     from palmfield.skin.fem.pardiso import PardisoFactor
 
@@ -26,7 +26,7 @@ OFF = ("off", "0", "none")
 class Factor:
     """Sparse LU of one matrix; made by `superlu`.
 
-    order: the elimination order, old index by new place, shape (n,)
+    order: elimination order, old index at each new place, shape (n,)
     A factor serves one thread at a time: others wait.
     """
 
@@ -42,11 +42,11 @@ class Factor:
 
     @property
     def fill(self) -> int:
-        """Numbers in both triangular factors."""
+        """Count of numbers in both triangular factors."""
         return int(self._lu.nnz)
 
     def solve(self, right: Any) -> Any:
-        """Return the solution, shape (n,) or (n, k), of matrix @ solution = right; complex where either is."""
+        """Return the solution, (n,) or (n, k), of matrix @ solution = right; complex if either of them is complex."""
         order = self._order
         with one_blas_thread, self._lock:
             if order is None:
@@ -65,12 +65,11 @@ AnyFactor: TypeAlias = "Factor | Cholesky | ComplexFactor | PardisoFactor"
 
 @phase("factors")
 def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
-    """Return the solver of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
+    """Return the solver of a symmetric matrix; allowed matrices and arguments as for `superlu`.
 
-    matrix, order: as for `superlu`
     Real matrices use PARDISO if it is installed and not switched off. Other matrices use our own blocks if an order is
     given. SuperLU is used without an order, and for matrices that the others refuse.
-    Raises RuntimeError where a pivot is exactly 0.
+    Raises RuntimeError if a pivot is exactly 0.
     """
     lossy = matrix.dtype.kind == "c"
     if not lossy and switched_on() and importlib.util.find_spec("pypardiso") is not None:
@@ -86,7 +85,7 @@ def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
 
 
 def switched_on() -> bool:
-    """Return whether PARDISO may be used. Raises PalmfieldError for a PALMFIELD_PARDISO that is neither on nor off."""
+    """Return whether PARDISO may be used. Raises PalmfieldError if PALMFIELD_PARDISO is neither on nor off."""
     named = os.environ.get(SWITCH, "on").strip().lower()
     if named not in (*OFF, "on", "1", ""):
         raise PalmfieldError(f"environment variable {SWITCH} is '{named}'; allowed: on, or {', '.join(OFF)}")
@@ -100,11 +99,11 @@ def _of_blocks(matrix: Any, order: Int) -> "ComplexFactor":
 
 
 def superlu(matrix: Any, order: Int | None = None) -> Factor:
-    """SuperLU factors of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
+    """Return the SuperLU factors of a symmetric matrix.
 
-    matrix: sparse, shape (n, n), real or complex
-    order: elimination order, old index by new place, shape (n,); None lets SuperLU find one (minimum degree)
-    Raises RuntimeError where a pivot is exactly 0.
+    matrix: sparse, (n, n), real or complex; its real part, perhaps times a phase factor, must be positive definite
+    order: elimination order, old index at each new place, shape (n,); None: SuperLU finds one (minimum degree)
+    Raises RuntimeError if a pivot is exactly 0.
     """
     columns = matrix if order is None else matrix[order][:, order]
     columns = columns.tocsc()

@@ -1,8 +1,8 @@
-"""One step of generalised-alpha (Chung & Hulbert 1993) for a viscoelastic body, as numbers.
+"""Coefficients of one step of generalised-alpha (Chung & Hulbert 1993) for a viscoelastic body.
 
-The internal displacement of a branch q, q' = (u - q) / tau, is integrated exactly for u linear over the step, so that
-q1 = e q0 + a u0 + b u1 with e = exp(-h/tau), b = 1 - (1 - e) tau/h and a = 1 - e - b. It is stable for every h/tau,
-and q1 -> u1 as h/tau -> infinity: the branch then simply relaxes.
+The internal displacement q of a branch, q' = (u - q) / tau, is integrated exactly for u linear over the step:
+q1 = e q0 + a u0 + b u1 with e = exp(-h/tau), b = 1 - (1 - e) tau/h and a = 1 - e - b. This is stable for every h/tau.
+For h/tau -> infinity, q1 -> u1: the branch then simply relaxes.
 """
 
 import math
@@ -16,7 +16,7 @@ from palmfield.skin.fem.linear_body import LinearBody
 from palmfield.types import Float
 
 RHO_INF = 0.8
-"""Spectral radius at infinite frequency, by default: takes unresolved pressure waves to a tenth in ten steps."""
+"""Default spectral radius at infinite frequency: it reduces unresolved pressure waves to a tenth in ten steps."""
 
 
 def branch_weights(step_s: float, tau_s: float) -> tuple[float, float, float]:
@@ -39,8 +39,8 @@ def alpha_weights(rho_inf: float) -> tuple[float, float, float, float]:
 
 @dataclass(frozen=True)
 class Term:
-    """One matrix of a body, csr (n, n), in a step: it goes into the effective matrix `coefficient` times, and times
-    row @ S, row of shape (r,), into the right-hand side."""
+    """One matrix of a body, csr (n, n): the effective matrix contains coefficient * matrix, and the right-hand side
+    matrix @ (row @ S), row of shape (r,)."""
 
     matrix: sparse.csr_matrix
     coefficient: float
@@ -48,13 +48,13 @@ class Term:
 
 
 class Scheme:
-    """One step of generalised-alpha for a system, as numbers: the matrices to solve, and the inputs and outputs.
+    """Coefficients of one step of generalised-alpha for a system: matrix to solve, right-hand side and new state.
 
     A state S has r rows of n numbers: displacement u [m], velocity v [m/s], acceleration a [m/s^2] and the internal
-    displacement q [m] of every branch of every part. Over a step the new displacement x solves
+    displacement q [m] of every branch of every part. The displacement x at the end of a step solves
     (sum over terms of coefficient * matrix) @ x
         = (1 - alpha_f) force_end + alpha_f force_start + sum over terms of matrix @ (row @ S),
-    then the new state is advance @ S + follow x.
+    The new state is advance @ S + follow x.
 
     step_s [s], rho_inf: as for WedgeStepper; state_rows: r; terms: only non-zero matrices.
     advance: (r, r); follow: (r,).
@@ -68,7 +68,7 @@ class Scheme:
         before, after = self.alpha_f, 1.0 - self.alpha_f
         self.state_rows = 3 + sum(len(part.material.relaxation.branches) for part in system.parts)
         u, v, a, *internal = np.eye(self.state_rows)
-        # New acceleration and velocity are a share of x and a row of the old state.
+        # New acceleration and velocity are a factor times x plus a row of coefficients times the old state.
         a_of_x = 1.0 / (beta * step_s**2)
         a_of_state = -a_of_x * (u + step_s * v) - (0.5 / beta - 1.0) * a
         v_of_x = step_s * gamma * a_of_x
@@ -99,10 +99,10 @@ class Scheme:
         self.terms = [term for term in terms if term.matrix.nnz]
 
     def stiffened(self, parts: int) -> list[float]:
-        """Factor of G / G_r in a step for the last terms, which belong to the parts of a body. The solved matrix
-        contains these terms stiffer by this factor than the terms without relaxation."""
+        """Return the factor G / G_r in a step for each of the last terms, which belong to the parts of a body.
+        The solved matrix contains these terms stiffer by this factor than terms without relaxation."""
         return [term.coefficient / (1.0 - self.alpha_f) for term in self.terms[-parts:]]
 
     def effective(self) -> sparse.csr_matrix:
-        """Return the matrix that a step solves with, (n, n) [N/m]."""
+        """Return the matrix of the equation of a step, (n, n) [N/m]."""
         return sum(term.coefficient * term.matrix for term in self.terms)

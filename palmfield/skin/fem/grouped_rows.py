@@ -1,6 +1,6 @@
-"""Sparse matrices by groups of rows with numbers in the same columns, as `warp_kernels.supernodes` multiplies them.
+"""Sparse matrices as groups of rows with numbers in the same columns, for the products of `warp_kernels.supernodes`.
 
-A product number by number waits for the column of each number; by groups of ROWS rows a column is looked up once.
+An ordinary sparse product reads the column of each number. With groups of ROWS rows, each column is read once.
 """
 
 from collections.abc import Sequence
@@ -18,11 +18,11 @@ from warp_kernels.supernodes import ROWS, GroupedRows, rows_of_group
 def grouped_rows(
     matrices: Sequence[sparse.csr_matrix], ranges: Sequence[tuple[int, int]]
 ) -> tuple[GroupedRows, list[tuple[int, int]]]:
-    """Return the matrices next to each other, shape (n, m n), with the groups of each range of rows together.
+    """Return the matrices side by side, shape (n, m n), with the groups of each range of rows together.
 
-    matrices: m of them, csr (n, n); ranges: first row of each, and the one after its last; together all non-zero rows,
-        each once.
-    Also returns the first group of each range and the one after its last.
+    matrices: m matrices, csr (n, n); ranges: first row, and row after the last, of each; they contain each non-zero row
+        once.
+    Also returns the first group of each range and the group after its last.
     """
     n = matrices[0].shape[0]
     rows, starts, columns, values, groups = [], [np.zeros(1, np.int64)], [], [], []
@@ -57,6 +57,6 @@ def grouped_rows(
 
 
 def _alike(matrix: sparse.csr_matrix, first: int, last: int) -> Int:
-    """Return the rows first..last - 1 with those together that may share columns: a mass couples no x with a y."""
+    """Return the rows first..last - 1, sorted so that rows with equal columns are adjacent (mass couples no x to y)."""
     _, part = connected_components(matrix, directed=False)
     return (first + np.argsort(part[first:last], kind="stable")).astype(np.int32)

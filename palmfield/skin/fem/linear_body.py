@@ -9,16 +9,14 @@ from palmfield.skin.materials.material import Material
 
 @dataclass(frozen=True)
 class Part:
-    """Stiffness [N/m] of G_r, symmetric, sparse or dense, shape (n, n), that relaxes as the shear modulus of a
-    material.
-    """
+    """Stiffness [N/m] for G_r that relaxes as the shear modulus of a material; symmetric, sparse or dense, (n, n)."""
 
     stiffness: Any
     material: Material
 
 
 class LinearBody(Protocol):
-    """mass [kg], damping [N s/m], elastic and parts' stiffness [N/m]: symmetric, sparse or dense, shape (n, n)."""
+    """Matrices of a body, symmetric, sparse or dense, (n, n): mass [kg], damping [N s/m], elastic and parts [N/m]."""
 
     @property
     def mass(self) -> Any: ...

@@ -1,4 +1,4 @@
-"""Points of the pressure on the skin, and its consistent nodal forces."""
+"""Quadrature points of the pressure on the skin, and the consistent nodal forces of a pressure."""
 
 import math
 
@@ -13,13 +13,13 @@ from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.types import Float, Int, Patch
 
 MOST_HALVINGS = 4
-"""Limit of the quarterings of a triangle under the points of a traction."""
+"""Largest number of quarterings of a triangle under the points of a traction."""
 
 
 class SurfaceQuadrature:
-    """Points of the pressure on the skin, and the operator from it to nodal forces.
+    """Points of the pressure on the skin, and the operator from pressure to nodal forces.
 
-    halvings: how often each triangle is quartered for it. only: numbers of the triangles it covers, by default all.
+    halvings: number of quarterings of each triangle. only: numbers of the covered triangles, by default all.
     points: positions [m], shape (q, 3); six in each quartered triangle (Dunavant, degree 4), triangle by triangle.
     normals: unit outward normals, shape (q, 3). weights: areas [m^2], shape (q,), which sum to the surface area.
     operator: csr, shape (n free degrees of freedom, q) [m^2]: force = operator @ inward normal pressure.
@@ -47,7 +47,7 @@ class SurfaceQuadrature:
         self.operator = sparse.csr_matrix(system.dof_map.T @ nodal.tocsr())
 
     def assemble(self, traction_normal: Float) -> Float:
-        """Consistent nodal forces [N] over the free degrees of freedom, shape (n,), of an inward pressure [Pa], (q,).
+        """Return the consistent nodal forces [N] over free degrees of freedom, (n,), of inward pressures [Pa], (q,).
 
         Raises SceneError unless there is one pressure per point.
         """
@@ -60,16 +60,14 @@ class SurfaceQuadrature:
 
 
 def halvings_for(corners: Float, weights_m2: Float) -> int:
-    """Number of quarterings of triangles, (t, 3, 3) [m], for a rule about as close as points of such areas."""
+    """Return how often to quarter triangles, (t, 3, 3) [m], for a rule about as dense as points of these areas."""
     edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
     spacing = math.sqrt(float(np.median(weights_m2)))
     return int(np.clip(math.ceil(math.log2(max(0.5 * edge / spacing, 1.0))), 0, MOST_HALVINGS))
 
 
 def quartered_rule(halvings: int) -> tuple[Float, Float]:
-    """Points (q, 2) and weights (q,) of the rule of the triangle in each of the 4^halvings parts of the unit
-    triangle.
-    """
+    """Return points (q, 2) and weights (q,) of the triangle rule in each of 4^halvings parts of the unit triangle."""
     points, weights = triangle_rule()
     for _ in range(halvings):
         parts = [0.5 * points + corner for corner in np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])]
@@ -78,12 +76,12 @@ def quartered_rule(halvings: int) -> tuple[Float, Float]:
 
 
 def face_points(patch: Patch, halvings: int = 1) -> tuple[Float, Float]:
-    """Return the points of a patch and the area of each, for a Traction on it: shapes (q, 3) [m] and (q,) [m2].
+    """Return points of a patch and their areas, for a Traction on it: shapes (q, 3) [m] and (q,) [m2].
 
     They are the quadrature points of the triangles of the patch, each cut into 4^halvings. If the elements are these
     triangles, forces at the points are exactly the load. On other elements the pressure is linear between the points
     (`traction.sampled`).
-    halvings: how often the triangles will be quartered; wedges quarter them once or twice.
+    halvings: number of quarterings; wedges quarter the triangles once or twice.
     """
     points, weights = quartered_rule(halvings)
     corners = patch.vertices[patch.faces]

@@ -14,9 +14,9 @@ from palmfield.skin.problem import Body, Layer, Load, Slab, Spot, Traction, norm
 from palmfield.types import Float
 
 ROUND_OFF = 1e-6
-"""Share of the spacing of points by which a point or its area may reach over the side of a slab."""
+"""Largest overhang of a point or its area over the side of a slab, as a share of the spacing of points."""
 SLACK = 0.05
-"""The same over the rim of a layer, whose triangles lie slightly off the surface that they represent."""
+"""The same for the rim of a layer, whose triangles lie slightly off the surface that they represent."""
 PARTS = 3
 """Number of places along a cell of the face over which its pressure is averaged."""
 
@@ -25,8 +25,8 @@ def on_body(body: Body, load: Load) -> Load:
     """Return a load without the part off the body; the same load if all of it is on the body.
 
     A spot is returned unchanged. If areas of the points of a traction reach over the side of a slab or the rim of a
-    layer, the pressure between its points is sampled at points of the face, which cover the whole pressed face. Points
-    that are alone, or on a line, press with their whole area where they lie on the body.
+    layer, the pressure is sampled again at points that cover the whole pressed face. Single points, and points on a
+    line, that lie on the body press with their whole area.
     """
     if isinstance(load, Spot) or len(load.points) == 0:
         return load
@@ -55,7 +55,7 @@ def _part(load: Traction, chosen: NDArray[np.bool_]) -> Traction:
 
 
 def off_face(body: Body, points: Float) -> Float:
-    """Return the distance of points [m], (n, 3), from the face of a slab or layer, along it; 0 on it, (n,)."""
+    """Return the distance of points, (n, 3), from a face, measured along the face [m], shape (n,); 0 on the face."""
     if isinstance(body, Slab):
         return np.maximum(-distance_to_sides(body, points[:, :2]), 0.0)
     away = points - closest_on_triangles(body.patch.vertices[body.patch.faces], points)[1]
@@ -64,8 +64,7 @@ def off_face(body: Body, points: Float) -> Float:
 
 
 def _face(body: Body, spacing_m: float) -> tuple[Float, Float, int]:
-    """Places on all of a face, about as close as `spacing_m` [m], the area of each cell of it [m2], and the number of
-    places in one cell."""
+    """Return places on a whole face, about `spacing_m` [m] apart, the area of each cell [m2], and places per cell."""
     if isinstance(body, Layer):
         halvings = halvings_for(body.patch.vertices[body.patch.faces], np.array([spacing_m**2]))
         return *face_points(body.patch, halvings), 1
@@ -80,7 +79,7 @@ def _face(body: Body, spacing_m: float) -> tuple[Float, Float, int]:
     rings = max(1, math.ceil(radius / spacing_m - ROUND_OFF))
     places, areas = [], []
     for ring in range(rings):
-        # Six cells in the first ring, so that length and width of cells are about equal
+        # With six cells in the first ring, length and width of cells are about equal
         count = round(2.0 * math.pi * (ring + 0.5)) if ring else 6
         r = radius * np.sqrt((1.0 - inner) * (ring / rings) ** 2 + inner * ((ring + 1.0) / rings) ** 2)
         angle = 2.0 * math.pi * (np.arange(count)[:, None] + inner) / count

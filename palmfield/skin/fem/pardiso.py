@@ -1,7 +1,7 @@
-"""PARDISO of Intel's MKL, where the extra `mkl` is installed: real symmetric positive definite matrices.
+"""PARDISO of Intel's MKL for real symmetric positive definite matrices, if the extra `mkl` is installed.
 
-It factorises the layer of a palm in a sixth of the time of SuperLU. Its sums depend on the processor and the number of
-threads (see MKL_CBWR and MKL_NUM_THREADS of MKL). The environment variable PALMFIELD_PARDISO=off disables it.
+It factorises the layer of a palm in a sixth of the time of SuperLU. Its rounding depends on the processor and the
+number of threads (see MKL_CBWR and MKL_NUM_THREADS). The environment variable PALMFIELD_PARDISO=off disables it.
 """
 
 import functools
@@ -17,14 +17,14 @@ from scipy import sparse
 from palmfield.types import Float
 
 POSITIVE_DEFINITE = 2
-"""PARDISO's number of the kind of matrix; it reads the upper triangle."""
+"""Matrix type of PARDISO: real symmetric positive definite, given by its upper triangle."""
 
 
 @functools.cache
 def library() -> Any:
-    """Return the module of pypardiso that wraps PARDISO; None where it is not installed, or MKL is not found.
+    """Return the module of pypardiso that wraps PARDISO; None if pypardiso or MKL is missing.
 
-    None on Windows too, where more than one factor at a time ends Python.
+    Also None on Windows, where a second factor at the same time ends Python.
     """
     if sys.platform == "win32":
         return None
@@ -39,9 +39,9 @@ class PardisoFactor:
     """Sparse Cholesky of one real matrix.
 
     matrix: sparse, (n, n)
-    A factor serves one thread at a time: others wait. It serves the process that made it only: threads of MKL do not
-    exist after a fork.
-    Raises RuntimeError where the matrix is not positive definite.
+    A factor serves one thread at a time: others wait. It serves only the process that made it, because threads of MKL
+    do not exist after a fork.
+    Raises RuntimeError if the matrix is not positive definite.
     """
 
     def __init__(self, matrix: Any) -> None:
@@ -61,13 +61,13 @@ class PardisoFactor:
 
     @property
     def fill(self) -> int:
-        """Numbers in both triangular factors."""
+        """Count of numbers in both triangular factors."""
         return 2 * int(self._solver.get_iparm(18))
 
     def solve(self, right: Any) -> Any:
-        """Return the solution, shape (n,) or (n, k), of matrix @ solution = right; complex where right is.
+        """Return the solution, shape (n,) or (n, k), of matrix @ solution = right; complex if `right` is complex.
 
-        Raises RuntimeError in another process than the one that made the factor.
+        Raises RuntimeError in a process that did not make the factor.
         """
         if os.getpid() != self._process:
             raise RuntimeError(

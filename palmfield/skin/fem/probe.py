@@ -13,13 +13,13 @@ from palmfield.types import Float, Int
 
 
 class SurfaceProbe:
-    """Normal displacement at points of the skin.
+    """Reader of the displacement at points of the skin.
 
-    points: positions [m], shape (n, 3); each is moved to the closest point of the surface.
-    closest: those points [m], (n, 3). triangles: those that contain them, (n,). local: their xi and eta, (n, 2).
-    distance: how far each moved [m], (n,). normals: outward normals there, (n, 3).
-    operator: csr, shape (n, free degrees of freedom): displacement along the outward normal = operator @ u.
-    vectors: csr, shape (3 n, free degrees of freedom): displacement, three components per point = vectors @ u.
+    points: positions [m], shape (n, 3); each is replaced by the closest point of the surface.
+    closest: these closest points [m], (n, 3). triangles: their triangles, (n,). local: their xi and eta, (n, 2).
+    distance: from point to closest point [m], (n,). normals: outward normals at the closest points, (n, 3).
+    operator: csr, (n, free degrees of freedom); operator @ u is the displacement along the outward normal.
+    vectors: csr, (3 n, free degrees of freedom); vectors @ u is the displacement, three components per point.
     Raises SceneError unless points is (n, 3) and finite.
     """
 
@@ -45,9 +45,9 @@ class SurfaceProbe:
 
 
 def nearest_on_surface(mesh: WedgeMesh, points: Float) -> tuple[Float, Float, Int, Float]:
-    """Return the closest points [m] of the surface of a mesh, shape (n, 3), and the outward normals there, (n, 3).
+    """Return the closest points [m] on the surface of a mesh, (n, 3), and the outward normals there, (n, 3).
 
-    Also the triangles that contain them, (n,), and their xi and eta, (n, 2). points: [m], shape (n, 3)
+    Also returns their triangles, (n,), and their xi and eta, (n, 2). points: [m], shape (n, 3)
     """
     corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
     triangles, closest = closest_on_triangles(corners, points)
@@ -57,12 +57,12 @@ def nearest_on_surface(mesh: WedgeMesh, points: Float) -> tuple[Float, Float, In
 
 
 def closest_on_triangles(corners: Float, points: Float) -> tuple[Int, Float]:
-    """Return the index of the closest triangle (n,) and the closest point on it (n, 3)."""
+    """Return the index of the closest triangle, (n,), and the closest point on this triangle, (n, 3)."""
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max()
     tree = scipy.spatial.cKDTree(centroids)
     nearest, _ = tree.query(points)
-    # The nearest centroid is on the surface, so the centroid of the closest triangle is at most `reach` farther.
+    # The nearest centroid is on the surface, so the centroid of the closest triangle is farther by at most `reach`.
     lists = tree.query_ball_point(points, nearest + reach)
     counts = np.array([len(result) for result in lists])
     candidates = np.concatenate([np.asarray(result, dtype=np.int64) for result in lists])
@@ -74,7 +74,7 @@ def closest_on_triangles(corners: Float, points: Float) -> tuple[Int, Float]:
 
 
 def surface_motion(mesh: WedgeMesh, system: SkinSystem) -> sparse.csr_matrix:
-    """Operator (S, free degrees of freedom) giving the outward normal displacement at all S surface nodes."""
+    """Return the operator (S, free degrees of freedom) for the outward normal displacement at all S surface nodes."""
     count = mesh.surface_nodes
     rows = np.repeat(np.arange(count), 3)
     nodal = sparse.coo_matrix(
@@ -84,7 +84,7 @@ def surface_motion(mesh: WedgeMesh, system: SkinSystem) -> sparse.csr_matrix:
 
 
 def surface_vectors(mesh: WedgeMesh, system: SkinSystem) -> sparse.csr_matrix:
-    """Operator (3 S, free degrees of freedom) giving the displacement at all S surface nodes, x, y, z of each."""
+    """Return the operator (3 S, free degrees of freedom) for the displacement (x, y, z) of all S surface nodes."""
     count = 3 * mesh.surface_nodes
     nodal = sparse.eye_array(count, 3 * len(mesh.nodes), format="csr")
     return sparse.csr_matrix(nodal @ system.dof_map)

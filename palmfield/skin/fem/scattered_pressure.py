@@ -9,30 +9,30 @@ from scipy.spatial import cKDTree
 from palmfield.types import Float, Int
 
 NEIGHBOURS = 9
-"""Points nearest to a place, of which three are the corners of the triangle round it."""
+"""Number of points nearest to a place among which the three corners of its triangle are chosen."""
 CLOSEST = 6
-"""Number of points, with the point itself, in the mean of the spacing: points of a triangle's rule differ in area."""
+"""Number of points, with the point itself, whose areas are averaged: quadrature points of a triangle differ in area."""
 LONGEST = 3.0
-"""Largest distance of a corner, in spacings; wider gaps have no pressure."""
+"""Largest distance of a corner from the place, in spacings; there is no pressure in wider gaps."""
 DISC = 1.0 / np.sqrt(np.pi)
-"""Spacings, the roots of areas, that are the radius of a disc of that area."""
+"""Radius of a disc of the area of a point, in spacings (roots of areas)."""
 SAME_SIDE = 0.3
-"""Least cosine between normals of a place and of a point that acts there: skin on the other side of a finger is off."""
+"""Least cosine between the normals of a place and a point: it excludes points on the other side of a finger."""
 FLAT = 1e-6
-"""Area of a triangle, in squared spacings, below which its corners lie on a line."""
+"""Area of a triangle, in squared spacings, below which its corners count as points on a line."""
 CHUNK = 20_000
 
 
 def between_points(points: Float, normals: Float, areas_m2: Float, places: Float, facing: Float) -> sparse.csr_matrix:
-    """Return the matrix from pressures at points to the pressure at places, csr, (q, p), linear on triangles of points.
+    """Return the matrix from pressures at points to pressures at places, csr, (q, p), linear on triangles of points.
 
-    Rows sum to 1 or, where there is no pressure, to 0. The triangle of a place has near points as corners, in the plane
-    that touches the surface there. It is the triangle whose corners have the least mean squared distance, as in a
+    Rows sum to 1; rows of places without pressure sum to 0. The corners of a triangle are near points, projected on
+    the tangent plane at the place. The triangle with the least mean squared distance of corners is used, as in a
     Delaunay triangulation (Rajan 1994, Discrete Comput. Geom. 12, 189). A place outside all triangles has the pressure
-    of the nearest point, up to the radius of a disc of its area.
+    of the nearest point, up to the radius of a disc of the area of this point.
 
-    points, normals: [m] and outward unit vectors, shape (p, 3). areas_m2: areas of each point, (p,).
-    places, facing: the same of the places, shape (q, 3).
+    points, normals: [m] and outward unit vectors, shape (p, 3). areas_m2: area of each point, (p,).
+    places, facing: positions [m] and outward unit vectors of the places, shape (q, 3).
     """
     tree = cKDTree(points)
     spacing = _spacing(tree, points, areas_m2)
@@ -46,11 +46,10 @@ def between_points(points: Float, normals: Float, areas_m2: Float, places: Float
 def spread_forces(
     points: Float, normals: Float, areas_m2: Float, places: Float, facing: Float, weights_m2: Float
 ) -> sparse.csr_matrix:
-    """Return the pressures at places for unit pressures at points, csr, shape (q, p), each spread over a disc of its
-    area.
+    """Return the matrix from pressures at points to pressures at places, csr, (q, p); each point acts on a disc.
 
-    The pressure falls from the middle of the disc as a parabola, and its force is that of the area. If no place lies on
-    the disc, the column is empty. Arguments as of `between_points`; weights_m2: areas of the places, shape (q,)
+    The pressure falls from the middle of the disc as a parabola; its force is pressure times the area of the point. If
+    no place lies on the disc, the column is empty. Arguments as for `between_points`; weights_m2: areas of places, (q,)
     """
     # Parabola with the second moment of the disc
     reach = np.sqrt(1.5 * areas_m2 / np.pi)
@@ -65,7 +64,7 @@ def spread_forces(
 
 
 def _spacing(tree: cKDTree, points: Float, areas_m2: Float) -> Float:
-    """Root of the mean area of each point and those around it [m], shape (p,)."""
+    """Return the root of the mean area of each point and the points around it [m], shape (p,)."""
     own = np.sqrt(areas_m2)
     count = min(CLOSEST, len(points))
     far, who = (part.reshape(len(points), count) for part in tree.query(points, count))
@@ -95,7 +94,7 @@ def _shares(
 
 
 def _in_plane(steps: Float, normals: Float) -> Float:
-    """Return two components of vectors (q, k, 3) across normals (q, 3), shape (q, k, 2)."""
+    """Return the two components of vectors (q, k, 3) perpendicular to normals (q, 3), shape (q, k, 2)."""
     helper = np.eye(3)[np.abs(normals).argmin(axis=1)]
     along = np.cross(normals, helper)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -104,9 +103,9 @@ def _in_plane(steps: Float, normals: Float) -> Float:
 
 
 def _triangle(flat: Float, counted: np.ndarray) -> tuple[Int, Float]:
-    """Return the corners (q, 3) of the Delaunay triangle round 0 and their shares there; -1 where no triangle holds 0.
+    """Return the corners (q, 3) of the Delaunay triangle that contains 0 and their shares there; -1 if there is none.
 
-    flat: near points, shape (q, k, 2), of which those `counted` (q, k) may be corners
+    flat: near points, shape (q, k, 2); counted: whether a point may be a corner, (q, k)
     """
     best = np.full(len(flat), np.inf)
     corners, shares = np.full((len(flat), 3), -1), np.zeros((len(flat), 3))

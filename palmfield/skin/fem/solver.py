@@ -1,4 +1,4 @@
-"""Motion of a skin layer: static, harmonic, and harmonic by generalised-alpha."""
+"""Motion of a skin layer: static, harmonic, and harmonic with the time steps of generalised-alpha."""
 
 import cmath
 import math
@@ -15,7 +15,7 @@ from palmfield.types import Complex, Float
 
 
 def static(system: SkinSystem, force: Float) -> Float:
-    """Return the displacement [m], (ndof,), under a constant force [N], with relaxed branches.
+    """Return the static displacement [m], (ndof,), under a constant force [N], with relaxed branches.
 
     Raises SceneError for a body without support.
     """
@@ -35,9 +35,9 @@ def harmonic(system: SkinSystem, force: Float, f_Hz: float) -> Complex:
 
 
 def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: float) -> Complex:
-    """Return the steady state that WedgeStepper itself reaches under force [N] times e^{-i w t}: its z-symbol.
+    """Return the steady state of WedgeStepper under force [N] times e^{-i w t}, complex [m], (ndof,), by its z-symbol.
 
-    |harmonic_discrete - harmonic| is the error of the time step. f_Hz > 0, below half the step rate.
+    |harmonic_discrete - harmonic| is the error of the time step. f_Hz: above 0 and below half the step rate.
     """
     return _solve_dynamic(system, force, *discrete_weights(system.materials, f_Hz, step_s))
 
@@ -45,9 +45,7 @@ def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: flo
 def discrete_weights(
     materials: Sequence[Material], f_Hz: float, step_s: float
 ) -> tuple[complex, complex, list[complex]]:
-    """Factors of mass, damping and the stiffness of each part in the z-symbol of the scheme; materials: materials of
-    the parts
-    """
+    """Return the factors of mass, damping and the stiffness of each part, of given material, in the z-symbol."""
     alpha_m, alpha_f, beta, gamma = alpha_weights(RHO_INF)
     z = cmath.exp(-2j * math.pi * f_Hz * step_s)
     # u (z - 1) = h v + h^2 a (1/2 - beta + beta z) and v (z - 1) = h a (1 - gamma + gamma z).

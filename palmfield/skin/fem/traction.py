@@ -1,4 +1,4 @@
-"""Pressure of a load on the skin, at points or of a spot, as consistent nodal forces, at a time and over time."""
+"""Consistent nodal forces of a load on the skin (a spot, or pressures at points), at one time and over time."""
 
 import itertools
 import math
@@ -22,21 +22,20 @@ from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int
 
 STEEPEST = 3.0
-"""Longest edge of a triangle of a traction over its longest seen from above, from which the triangle is left out."""
+"""Ratio of the longest edge of a triangle to its longest edge seen from above; steeper triangles are left out."""
 COVERED = 0.2
-"""Largest relative difference of the surface between points about a body from their areas."""
+"""Largest relative difference between the surface joined by points round a body and the sum of their areas."""
 WRAPPED = 0.1
-"""Share of such triangles above which the points count as points about a body."""
+"""Share of steep triangles above which the points count as points round a body."""
 
 
 def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_matrix:
     """Return the nodal forces [N] of pressures [Pa] at the points of a traction, csr, shape (n, p).
 
-    The pressure is that of `field_at`, integrated on a rule about as close as the points lie. Forces at the points
-    themselves would be a rough load on elements that are not much larger than the areas of the points. A thin layer
-    responds more to a rough load than to a smooth one: a bonded layer of 1 mm round a bone moved up to 200 times too
-    far. Forces at the points are used only for points that are `alone`, and for the points of the rule on a body
-    (`face_points`).
+    The pressure of `field_at` is integrated on a rule about as dense as the points. Forces at the points themselves
+    would be a rough load on elements that are not much larger than the areas of the points. A thin layer responds more
+    to a rough load: a bonded layer of 1 mm round a bone moved up to 200 times too far. Forces at the points are used
+    only for points that are `alone`, and for quadrature points of the body (`face_points`).
     """
     probe = SurfaceProbe(mesh, load.points, system)
     forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
@@ -57,18 +56,16 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
 def field_at(
     load: Traction, normals: Float, places: Float, facing: Float, weights_m2: Float | None
 ) -> sparse.csr_matrix:
-    """Return the matrix from the pressures at the points of a traction to the pressure at places of a face, csr, shape
-    (q, p).
+    """Return the matrix from pressures at the points of a traction to pressures at places of a face, csr, (q, p).
 
-    The pressure is linear between the points and constant over half a spacing beyond the outermost.
-    Points seen from above are joined by Delaunay triangles in x and y. Skin above or below a triangle, farther from it
-    than its longest edge, has no pressure. Points about a body are joined by triangles in its own surface. If points
-    are on a line, or their areas are not those between them, their forces are spread over discs of these areas.
-    For the mean magnitude of the pressure over time, the force is preserved: it is pressure times the areas of the
-    points.
+    The pressure is linear between the points, and constant over half a spacing beyond the outermost points.
+    Points seen from above are joined by Delaunay triangles in x and y. Skin farther above or below a triangle than its
+    longest edge has no pressure. Points round a body are joined by triangles in the surface of the body. If points
+    lie on a line, or their areas do not match the gaps between them, their forces are spread over discs of these areas.
+    The force is preserved for the mean magnitude of the pressure over time: it is pressure times areas of points.
 
-    normals: outward unit normals at the points, (p, 3); places [m], facing: places of the face and the outward normals
-    there, (q, 3).
+    normals: outward unit normals at the points, (p, 3).
+    places [m], facing: places of the face and outward normals there, (q, 3).
     weights_m2: area of each place, (q,), to preserve the force; None if only pressures are needed.
     """
     net = seen_from_above(load)
@@ -90,19 +87,19 @@ def field_at(
 
 
 def alone(between: sparse.csr_matrix, load: Traction) -> NDArray[np.bool_]:
-    """Return which points of a traction have no place nearby, (p,); their forces act separately. Points of a net that
-    is finer than the places are not alone, because neighbouring points represent them.
-    """
+    """Return which points of a traction have no place nearby, (p,); their forces act separately.
+
+    Points of a net finer than the places are not alone, because neighbouring points represent them."""
     missed = np.asarray(between.getnnz(axis=0)) == 0
     return missed if missed.all() or seen_from_above(load) is None else np.zeros_like(missed)
 
 
 def face_pressure(load: Traction, nodes: Int, shares: Float, places: Float, area_m2: Float) -> sparse.csr_matrix:
-    """Pressure at the nodes of a face by unit pressures at the points of a traction, csr, shape (s, p), forces kept.
+    """Return the matrix from pressures at the points of a traction to pressures at nodes of a face, csr, (s, p).
 
-    nodes, shares: nodes of the face round each place and their shares there, both (q, k); each node is given the mean
-    of the pressure over its own part of the face.
-    places: places of a rule on all of the face, [m], (q, 3); area_m2: area vectors of the places, outward, (q, 3).
+    The force is preserved. Each node has the mean pressure over its own part of the face.
+    nodes, shares: nodes of the face round each place and their shares there, both (q, k).
+    places: places of a rule on the whole face [m], (q, 3); area_m2: outward area vectors of the places, (q, 3).
     """
     weights = np.linalg.norm(area_m2, axis=1)
     facing = area_m2 / weights[:, None]
@@ -119,7 +116,7 @@ def face_pressure(load: Traction, nodes: Int, shares: Float, places: Float, area
 
 
 def of_rule(mesh: WedgeMesh, system: SkinSystem, points: Float) -> bool:
-    """Return whether the points are quadrature points of the triangles of the mesh, quartered any number of times."""
+    """Return whether the points are quadrature points of the triangles of the mesh after any number of quarterings."""
     halvings = math.log(len(points) / (len(triangle_rule()[0]) * len(mesh.surface_triangles6)), 4.0)
     if halvings < 0.0 or not halvings.is_integer():
         return False
@@ -130,10 +127,10 @@ def of_rule(mesh: WedgeMesh, system: SkinSystem, points: Float) -> bool:
 
 @dataclass(frozen=True)
 class Net:
-    """Triangles in x and y between the points of a traction and others half a spacing beyond the outermost.
+    """Triangles in x and y between the points of a traction and added points half a spacing beyond the outermost.
 
-    points: [m], (m, 3). owner: point whose pressure each has, (m,). delaunay: triangulation of their x and y.
-    longest_m: edge of each triangle [m]. steep: triangles that are left out.
+    points: [m], (m, 3). owner: number of the point with the same pressure, (m,). delaunay: triangulation in x and y.
+    longest_m: longest edge of each triangle [m]. steep: triangles that are left out.
     """
 
     points: Float
@@ -143,9 +140,9 @@ class Net:
     steep: NDArray[np.bool_]
 
     def between(self, places: Float, count: int) -> sparse.csr_matrix:
-        """Return the shares of the pressures at `count` points in that at places [m] (q, 3), csr, shape (q, count)."""
+        """Return the matrix from pressures at `count` points to pressures at places [m], (q, 3), csr, (q, count)."""
         net = self.delaunay
-        # Points outside are searched among all triangles, one by one
+        # The search for a point outside the net would go through all triangles
         low, high = net.min_bound, net.max_bound
         near = np.flatnonzero(np.all((places[:, :2] >= low) & (places[:, :2] <= high), axis=1))
         hull = ConvexHull(net.points).equations
@@ -164,7 +161,7 @@ class Net:
 
 
 def seen_from_above(load: Traction) -> Net | None:
-    """The net of the points of a traction; None for points on a line or about a body, and whose areas leave gaps."""
+    """Return the net of the points of a traction; None for points on a line or round a body, or areas with gaps."""
     flat = load.points[:, :2]
     if len(flat) < 3 or np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-9) < 2:
         return None
@@ -183,7 +180,7 @@ def seen_from_above(load: Traction) -> Net | None:
 
 
 def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
-    """Return the numbers of the outermost points (m,), and places (m, 2) half of their spacing outside."""
+    """Return the numbers of the outermost points, (m,), and places half a spacing outside them, (m, 2)."""
     edges = net.convex_hull
     along = net.points[edges[:, 1]] - net.points[edges[:, 0]]
     out = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
@@ -192,7 +189,7 @@ def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
     outer, place = np.unique(edges, return_inverse=True)
     normal = np.zeros((len(outer), 2))
     np.add.at(normal, place.ravel(), 0.5 * np.repeat(out, 2, axis=0))
-    # A corner has the same distance to both of its edges
+    # The place outside a corner has the same distance from both edges
     size2 = np.maximum((normal**2).sum(axis=1, keepdims=True), 0.25)
     return outer.astype(np.int32), net.points[outer] + 0.5 * spacing[outer, None] * normal / size2
 
@@ -200,7 +197,7 @@ def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
 class PressureHistory:
     """The pressure of a load on a layer over time.
 
-    operator: csr, shape (n, q): consistent nodal force [N] = operator @ pressure at the points of the load [Pa]
+    operator: csr, shape (n, q), from pressure at the points of the load [Pa] to consistent nodal force [N]
     knots_s: times of the load [s]
     Raises SceneError for a load whose points lie off the surface.
     """
@@ -220,11 +217,10 @@ class PressureHistory:
             self.operator = sampled(mesh, system, load)
 
     def loads(self, clock: Float) -> SurfaceLoads:
-        """The loads of the substeps between rising times [s], (s + 1,), for a stepper with `operator` as its inputs.
+        """Return the loads of the substeps between ascending times [s], (s + 1,), for a stepper with inputs `operator`.
 
-        The straight line in each substep has the impulse and first moment of the load. If the load is a straight line
-        over the substep, this line is the load. The effect of a jump or a bend inside a substep is right to second
-        order.
+        In each substep the load is replaced by a straight line with the same impulse and first moment. A load that is
+        linear over the substep is unchanged. The effect of a jump or a bend in a substep is right to second order.
         """
         course = self._weight if self._shape is not None else self.pressure
         ends = [self._ends(course, *step) for step in itertools.pairwise(clock.tolist())]
@@ -235,7 +231,7 @@ class PressureHistory:
         return SurfaceLoads(np.array(ends).reshape(1, 2 * len(ends), -1), unit[:, ::2], unit[:, 1::2])
 
     def _ends(self, course: Callable[[float], Any], start_s: float, end_s: float) -> tuple[Any, Any]:
-        """Return the course at both ends of a substep. Two Gauss points between knots: exact for a linear one."""
+        """Return both ends of the line for a substep, by two Gauss points between knots: exact for a linear course."""
         inside = self.knots_s[(self.knots_s > start_s) & (self.knots_s < end_s)]
         edges = np.concatenate([[start_s], inside, [end_s]])
         first = last = 0.0
@@ -253,7 +249,7 @@ class PressureHistory:
         return self.operator @ self.pressure(float(self.knots_s[-1]))
 
     def pressure(self, t: float) -> Float:
-        """Pressure [Pa] at the points of the load at time t [s]; 0 before the first time, at rest after the last."""
+        """Return the pressure [Pa] at the points of the load at time t [s]; 0 before the load, constant after it."""
         if self._shape is not None:
             return self._weight(t) * self._shape
         weights = self._knot_weights(t)
@@ -283,5 +279,5 @@ class PressureHistory:
 
 
 def bell(points: Float, centre: Float, fwhm_m: float) -> Float:
-    """Return the share of the peak of a spot at points (n, 3), by their distance from its centre (2,) in x and y."""
+    """Return pressure over peak of a spot at points (n, 3), by their distance in x and y from its centre (2,)."""
     return np.exp(-GAUSSIAN * ((points[:, :2] - centre) ** 2).sum(axis=1) / fwhm_m**2)

@@ -1,11 +1,11 @@
-"""Steps a whole layer of quadratic wedges by generalised-alpha (Chung & Hulbert 1993): one triangular solve a substep.
+"""Step a whole layer of quadratic wedges by generalised-alpha (Chung & Hulbert 1993), with one solve per substep.
 
-The substep (see Scheme) solves A x = f + sum_i K_i z_i for the new displacement x, where A = sum_i c_i K_i and z_i are
-sums of rows of the old state. One of the K_i need not be multiplied: with z_0 = c_0 y,
+A substep (see Scheme) solves A x = f + sum_i K_i z_i for the new displacement x, where A = sum_i c_i K_i and z_i are
+sums of rows of the old state. With z_0 = c_0 y, one product with a K_i is saved:
 
     x = y + A^-1 (f + sum over i > 0 of K_i (z_i - c_i y)).
 
-The largest matrix is omitted in this way, which is a third of the data that a substep of a small layer reads.
+K_0 is the largest matrix. It would be a third of the data that a substep of a small layer reads.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 from scipy import sparse
 
-# These functions of SciPy compute y += A x in place; its public products need ten more Python calls.
+# These functions of SciPy compute y += A x in place; the public products make ten more Python calls.
 from scipy.sparse._sparsetools import csr_matvec
 
 from palmfield.device import filled, recorded
@@ -30,18 +30,17 @@ from palmfield.types import Float, Float32
 from warp_kernels import supernodes as kernels
 
 STORED_PER_THREAD = 250_000
-"""Fewest numbers of the blocks per thread."""
+"""Least count of numbers in the blocks for each thread."""
 
 
 @dataclass(frozen=True)
 class _Room:
-    """The work arrays of a call, and the launches on them. All is numbered by the places of the factor.
+    """Work arrays of a call, and the kernel launches on them. Unknowns are numbered by the places of the factor.
 
-    rows: the state, (r, size). forces: forces of patterns, (k, size). weights: weights of the patterns in the coming
-    substep, (k,).
-    add_up: makes the sums of rows for the first substep.
-    begin: pass of each branch down to the trunk; trunk: the part between; turn: pass of each branch up, and down again;
-    end: the pass up.
+    rows: state, (r, size). forces: forces of patterns, (k, size). weights: of patterns in the next substep, (k,).
+    add_up: computes the sums of rows for the first substep.
+    begin: pass of each branch down to the trunk; trunk: passes in the trunk; turn: pass of each branch up, and down
+    again; end: last pass up.
     """
 
     rows: Float
@@ -55,13 +54,13 @@ class _Room:
 
 
 class WedgeStepper(SkinStepper):
-    """The whole layer; see SkinStepper.
+    """Step the whole layer; see SkinStepper.
 
-    inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa].
-    step_s: length of a substep [s]; rho_inf: spectral radius at infinite frequency, 0 (L-stable: unresolved motion
-        disappears at once) to 1 (none is lost); 0.8 reduces unresolved pressure waves to a tenth in ten steps.
-    A state has a row of n numbers each for displacement [m], velocity [m/s], acceleration [m/s^2] and the internal
-    displacement [m] of every branch of every part.
+    inputs: csr, shape (n, q), from inward pressure [Pa] to consistent nodal force [N].
+    step_s: length of a substep [s]; rho_inf: spectral radius at infinite frequency, from 0 (L-stable: unresolved motion
+        disappears at once) to 1 (no damping); 0.8 reduces unresolved pressure waves to a tenth in ten steps.
+    A state has rows of n numbers: displacement [m], velocity [m/s], acceleration [m/s^2] and the internal displacement
+    [m] of every branch of every part.
     Raises SceneError for a step <= 0 or rho_inf outside 0..1.
     """
 
@@ -82,7 +81,7 @@ class WedgeStepper(SkinStepper):
         self._into_sums = np.array([*(term.row - term.coefficient * offset for term in others), offset])
         parts = [(part.first, part.last) for part in (*factor.branches, factor.trunk)]
         matrices = [_placed(term.matrix, factor, rows=True) for term in others]
-        # Each thread computes a branch, and must not read data that another thread changes
+        # Each thread computes a branch and must not read data that another thread changes
         assert not any(_coupled(matrix, parts[:-1]) for matrix in matrices)
         self._others = grouped_rows(matrices, parts)
         self._inputs = _placed(sparse.csr_matrix(inputs, dtype=np.float64), factor, rows=True, columns=False)
@@ -96,7 +95,7 @@ class WedgeStepper(SkinStepper):
         mix = self._alpha_f * loads.first + (1.0 - self._alpha_f) * loads.last
         worlds, substeps, _ = mix.shape
         record = None if observe is None else np.zeros((worlds, substeps, 2, observe.count))
-        # In sequence, because the matrices pass through the cache once per substep for each world in any case
+        # One world after another: in any order, each world reads the matrices through the cache once per substep
         for i in range(worlds):
             self._step_one(state[i], loads.pressure_Pa[i], mix[i], observe, None if record is None else record[i])
         return record
@@ -104,7 +103,7 @@ class WedgeStepper(SkinStepper):
     def _step_one(
         self, state: Float, patterns_Pa: Float | Float32, mix: Float, observe: Reader | None, record: Float | None
     ) -> None:
-        """All substeps of one world; mix: weight of each pattern in each substep, (s, k); record: (s, 2, m) to fill."""
+        """Do all substeps of one world; mix: weights of patterns in each substep, (s, k); record: output, (s, 2, m)."""
         rows, place = state.reshape(self.state_rows, self.unknowns), self._factor.place
         substeps, patterns = mix.shape
         room, threads = self._room(patterns), self._threads
@@ -140,7 +139,7 @@ class WedgeStepper(SkinStepper):
         return result
 
     def _room(self, patterns: int) -> _Room:
-        """Work arrays: those of an earlier call if no other thread has them. Appended to and taken from atomically."""
+        """Return work arrays, reused from an earlier call if no other thread has them; list operations are atomic."""
         try:
             room = self._rooms.pop()
         except IndexError:
@@ -152,7 +151,7 @@ class WedgeStepper(SkinStepper):
         matrix, groups = self._others
         rows, sums = _Numbers((self.state_rows, size)), _Numbers((len(self._into_sums), size))
         forces, weights = _Numbers((patterns, size)), _Numbers((patterns,))
-        # Rows below a supernode are padded by the index after the last, where sums of zeros are written and read
+        # Rows below a supernode are padded with the index after the last; only zeros are written and read there
         padded = size + kernels.WIDTH
         solution = _Numbers((padded,))
         step = filled(
@@ -188,14 +187,14 @@ class WedgeStepper(SkinStepper):
 
 
 class _Numbers:
-    """Float64 numbers that NumPy, and kernels one by one or WIDTH by WIDTH, see in one memory."""
+    """Float64 numbers in one memory, for NumPy and for kernels that read one number or WIDTH numbers at a time."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.host: Any = np.zeros(shape)
 
     @classmethod
     def of(cls, values: Any) -> "_Numbers":
-        """Those that are given."""
+        """Return the given values in this form."""
         result = cls(())
         result.host = np.ascontiguousarray(values)
         return result
@@ -217,7 +216,7 @@ class _Numbers:
 def _placed(
     matrix: sparse.csr_matrix, factor: BlockFactor, *, rows: bool = False, columns: bool = True
 ) -> sparse.csr_matrix:
-    """Return the matrix with its columns, or rows, or both, numbered by the places of the factor."""
+    """Return the matrix with columns, rows or both numbered by the places of the factor."""
     parts, place = sparse.coo_matrix(matrix), factor.place
     row, count = (place[parts.row], factor.size) if rows else (parts.row, matrix.shape[0])
     column, width = (place[parts.col], factor.size) if columns else (parts.col, matrix.shape[1])
@@ -225,7 +224,7 @@ def _placed(
 
 
 def _coupled(matrix: sparse.csr_matrix, ranges: list[tuple[int, int]]) -> bool:
-    """Return whether a matrix couples unknowns of two ranges, each from the first to the one after the last."""
+    """Return whether a matrix couples unknowns of two ranges (first, and the one after the last)."""
     parts = sparse.coo_matrix(matrix)
     of_row, of_column = np.zeros((2, parts.nnz), np.int8)
     for number, (first, last) in enumerate(ranges, 1):
@@ -235,6 +234,6 @@ def _coupled(matrix: sparse.csr_matrix, ranges: list[tuple[int, int]]) -> bool:
 
 
 def _read(matrix: sparse.csr_matrix, rows: Float, out: Float) -> None:
-    """Displacement and velocity, added to `out` (2, m)."""
+    """Add displacement and velocity to `out`, shape (2, m)."""
     for row, result in zip(rows, out, strict=False):
         csr_matvec(len(result), len(row), matrix.indptr, matrix.indices, matrix.data, row, result)

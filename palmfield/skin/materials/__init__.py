@@ -1,4 +1,4 @@
-"""Linear viscoelastic materials: named ones, fits to measurements, and the waves that they carry."""
+"""Linear viscoelastic materials: presets, fits to measurements, and their waves."""
 
 import lazy_loader
 

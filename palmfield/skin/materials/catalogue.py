@@ -1,7 +1,7 @@
 """Named skin materials, the uncertainty of their numbers, and the layered skin of the hand.
 
-`preset(name)` gives a Material. `CATALOGUE` also has the range of its numbers and the measurements with which tests
-compare it. docs/materials.md is made from these. Modules `law_*` of this package add their `PRESETS`.
+`preset(name)` returns a Material. `CATALOGUE` also has ranges of its numbers, and measurements with which tests
+compare it. docs/materials.md is made from this data. Modules `law_*` of this package add their `PRESETS`.
 """
 
 from dataclasses import dataclass, replace
@@ -181,7 +181,7 @@ PRESETS: dict[str, Material] = {name: entry.material for name, entry in CATALOGU
 
 
 def preset(name: str) -> Material:
-    """Return the material of that name in PRESETS. Raises SceneError, with the available names, for another."""
+    """Return the material with this name in PRESETS. Raises SceneError, with the available names, for another name."""
     if name not in PRESETS:
         near = did_you_mean(name, PRESETS)
         raise SceneError(f"skin material '{name}' is unknown{near}; use one of {', '.join(sorted(PRESETS))}")
@@ -192,7 +192,7 @@ def preset(name: str) -> Material:
 class Tissue:
     """A layer of skin: Young's modulus of the relaxed tissue [Pa], density [kg/m^3], thickness by site [m].
 
-    thickness_m: None where the layer fills what the others leave above the bone
+    thickness_m: None for the layer that fills the rest of the depth above the bone
     """
 
     name: str
@@ -203,7 +203,7 @@ class Tissue:
 
 
 DEPTH_M = {"palm": 0.012, "finger_pad": 0.005}
-"""Skin to bone: palm 8 to 20 mm, pulp of the finger 4 to 6 mm."""
+"""Depth from skin to bone [m]. Usual ranges: palm 8 to 20 mm, pulp of the finger 4 to 6 mm."""
 MAENO = "attributed to Maeno et al. 1998; not checked against the paper"
 TISSUES = (
     Tissue(
@@ -229,13 +229,13 @@ TISSUES = (
 
 
 def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
-    """Stratum corneum, epidermis, dermis and subcutis of the "palm" or "finger_pad", outermost first.
+    """Return stratum corneum, epidermis, dermis and subcutis of the "palm" or "finger_pad", outermost first.
 
-    depth_m: skin to bone [m]; None is DEPTH_M[site]. The subcutis takes the depth that the others leave.
-    Moduli and thicknesses of TISSUES are those of models, known to a factor of 2 and to about a third. The relaxation
-    of single layers is unknown, so all layers relax like the preset of the site, by the same share of their modulus. nu
-    0.4999 is for the instantaneous modulus.
-    Raises SceneError for another site and a depth that leaves no subcutis.
+    depth_m: from skin to bone [m]; default DEPTH_M[site]. The subcutis has the depth below the other layers.
+    Moduli and thicknesses of TISSUES come from models and are uncertain by a factor of 2 and by about a third. The
+    relaxation of single layers is unknown. So all layers relax like the preset of the site, by the same share of their
+    modulus. nu = 0.4999 applies to the instantaneous modulus.
+    Raises SceneError for another site, and for a depth without room for the subcutis.
     """
     if site not in DEPTH_M:
         raise SceneError(f"hand skin: site '{site}' is unknown; use one of {', '.join(DEPTH_M)}")
@@ -263,7 +263,7 @@ def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
 
 
 def varied(entry: Preset) -> list[Material]:
-    """Return the material of the preset at the low and the high end of each of its ranges, one range at a time."""
+    """Return the materials of a preset at the low and the high end of each range, one range at a time."""
     materials = []
     for bounds in entry.ranges:
         for value in (bounds.low, bounds.high):
@@ -273,7 +273,7 @@ def varied(entry: Preset) -> list[Material]:
 
 
 def softest_and_stiffest(entry: Preset) -> tuple[Material, Material] | None:
-    """The material of the preset with all ranges at their low ends, and at their high ends; None without ranges."""
+    """Return the material of a preset with all ranges at the low ends, and at the high ends; None without ranges."""
     if not entry.ranges:
         return None
     ends = []
@@ -287,7 +287,7 @@ def softest_and_stiffest(entry: Preset) -> tuple[Material, Material] | None:
 
 
 def _with_value(material: Material, parameter: str, value: float, name: str) -> Material:
-    """Return the material with another value of the parameter of a range, see `Range`."""
+    """Return the material with another value of one parameter; see `Range`."""
     if parameter == "shear":
         return scaled(material, value, name)
     changed: dict[str, Any] = {parameter: value}
@@ -295,8 +295,7 @@ def _with_value(material: Material, parameter: str, value: float, name: str) -> 
 
 
 def scaled(material: Material, factor: float, name: str) -> Material:
-    """Return the material with all shear moduli times a factor. K is unchanged, because it describes the small change
-    of the volume."""
+    """Return the material with all shear moduli times a factor. K, for the small change of the volume, is unchanged."""
     branches = tuple(Branch(factor * branch.shear_Pa, branch.time_s) for branch in material.branches)
     return replace(
         material,

@@ -1,6 +1,6 @@
 """Waves of a skin material at one frequency, from its complex moduli.
 
-Phasors go with e^{-i w t}: G* = G' - iG'', wavenumbers k = w/c + i/L with phase speed c and 1/e length L.
+The time factor is e^{-i w t}: G* = G' - iG''; wavenumbers k = w/c + i/L with phase speed c and 1/e length L.
 """
 
 import cmath
@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its parts at first use
+import scipy  # loads its submodules at first use
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material, complex_bulk, complex_shear, shear_wave
@@ -20,7 +20,7 @@ class Waves:
 
     f_Hz: frequency [Hz]. shear_Pa, bulk_Pa: complex moduli G' - iG'', K' - iK'' [Pa].
     shear, pressure: plane waves in the solid. rayleigh: the surface wave of a deep, bare half-space.
-    cutoff_Hz: c_s / 4h [Hz], below which a bonded layer of given thickness guides no wave; None without a thickness.
+    cutoff_Hz: c_s / 4h [Hz]; below it a bonded layer of given thickness h guides no wave; None without a thickness.
     """
 
     f_Hz: float
@@ -36,7 +36,7 @@ class Waves:
 
 
 def describe(material: Material, f_Hz: float, thickness_m: float | None = None) -> Waves:
-    """Complex moduli, speeds and 1/e lengths at f > 0 [Hz], and the cut-off of a bonded layer [m] where one is given.
+    """Return complex moduli, speeds and 1/e lengths at f > 0 [Hz]; with a thickness [m], the cut-off of a bonded layer.
 
     Raises SceneError for a frequency or thickness that is not above 0 and finite.
     """
@@ -59,10 +59,10 @@ def describe(material: Material, f_Hz: float, thickness_m: float | None = None) 
 def rayleigh_wavenumber(material: Material, f_Hz: float) -> complex:
     """Return the wavenumber of the Rayleigh wave of a viscoelastic half-space at f > 0 [rad/m].
 
-    (2 - x)^2 = 4 sqrt(1 - x) sqrt(1 - m x), x = (c/c_s)^2, m = G/(K + 4G/3), squared to the cubic
-    x^3 - 8 x^2 + (24 - 16 m) x - 16 (1 - m) = 0 (Achenbach 1973, ch. 5). Valid are roots whose two parts decay with
-    depth and that solve the equation before squaring. Above a loss tangent of about 0.16 there is a second, faster root
-    (Currie, Hayes & O'Leary 1977). The root that becomes that of the elastic solid for vanishing loss is used.
+    (2 - x)^2 = 4 sqrt(1 - x) sqrt(1 - m x), x = (c/c_s)^2, m = G/(K + 4G/3), is squared to the cubic
+    x^3 - 8 x^2 + (24 - 16 m) x - 16 (1 - m) = 0 (Achenbach 1973, ch. 5). A root is valid if both parts of its wave
+    decay with depth and if it solves the equation before squaring. Above a loss tangent of about 0.16 there is a
+    second, faster root (Currie, Hayes & O'Leary 1977). The root that is continuous with the elastic solid is returned.
     Raises SceneError for a frequency that is not above 0 and finite.
     """
     check_positive("frequency", f_Hz, "Hz")
@@ -83,17 +83,17 @@ def rayleigh_wavenumber(material: Material, f_Hz: float) -> complex:
 
 
 def elastic_root(ratio: float) -> float:
-    """(c_R / c_s)^2 of an elastic solid of (c_s / c_p)^2 = ratio, 0 to 3/4: the one root of the cubic in 0..1."""
+    """Return (c_R / c_s)^2 of an elastic solid, the only root of the cubic in 0..1; ratio: (c_s / c_p)^2, 0 to 3/4."""
     return float(
         scipy.optimize.brentq(lambda x: ((x - 8.0) * x + 24.0 - 16.0 * ratio) * x - 16.0 * (1.0 - ratio), 0.0, 1.0)
     )
 
 
 def cutoff(material: Material, thickness_m: float) -> float:
-    """Return the frequency f = c_s(f) / 4h below which a bonded layer of thickness h [m] guides no wave [Hz].
+    """Return the frequency f = c_s(f) / 4h [Hz]; below it a bonded layer of thickness h [m] guides no wave.
 
-    It is the first thickness resonance in shear, with the phase speed of the shear wave at that frequency itself.
-    c_s(f) / f falls with f, so there is one. Raises SceneError for a thickness that is not above 0 and finite.
+    It is the first thickness resonance in shear, for the phase speed of the shear wave at f. c_s(f) / f falls with f,
+    so there is one solution. Raises SceneError for a thickness that is not above 0 and finite.
     """
     check_positive("thickness", thickness_m, "m")
     low = math.sqrt(material.shear_relaxed_Pa / material.density_kg_m3) / (4.0 * thickness_m)
@@ -113,7 +113,7 @@ def speed_and_length(wavenumber: complex, omega: float) -> tuple[float, float]:
 
 
 def decaying(rate: complex) -> complex:
-    """Return +rate or -rate, whichever has a real part that is not negative."""
+    """Return +rate or -rate, the one with a real part >= 0."""
     return -rate if rate.real < 0.0 else rate
 
 

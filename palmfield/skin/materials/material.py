@@ -1,4 +1,4 @@
-"""Skin materials: linear viscoelastic solids, isotropic. Named ones are in palmfield.skin.materials.catalogue."""
+"""Skin materials: isotropic linear viscoelastic solids. Presets are in palmfield.skin.materials.catalogue."""
 
 import cmath
 import math
@@ -13,14 +13,14 @@ from palmfield.errors import SceneError
 from palmfield.types import Complex, Float
 
 INCOMPRESSIBLE = 1e6
-"""K over the shear modulus in place of nu = 0.5, in `elastic`, `kelvin_voigt` and similar functions.
+"""Ratio K / shear modulus that replaces nu = 0.5 in `elastic`, `kelvin_voigt` and similar functions.
 
-Under spots of 6 to 20 mm on bonded layers 1 to 20 mm deep, at 0 to 400 Hz, the motion is then within 6e-5 of the
-incompressible one (docs/materials.md; tests/skin/test_material.py). Thinner layers and wider spots: more.
+The motion differs from that of an incompressible layer by less than 6e-5 for spots of 6 to 20 mm on bonded layers of
+1 to 20 mm at 0 to 400 Hz (docs/materials.md; tests/skin/test_material.py), and by more for thinner layers, wider spots.
 """
 
 FELT_Hz: Float = np.geomspace(5.0, 1000.0, 48)
-"""Frequencies at which a law is compared with the series that replaces it in time."""
+"""Frequencies at which a law is compared with the series that replaces it in time steppers [Hz]."""
 
 NuOf = Literal["instant", "relaxed"]
 
@@ -29,7 +29,7 @@ NuOf = Literal["instant", "relaxed"]
 class Branch:
     """Maxwell branch: spring G_m [Pa], >= 0, in series with a dashpot; time_s: tau = eta / G_m [s], >= 0.
 
-    At tau = 0 the branch carries no load.
+    With tau = 0 the branch has no effect.
     """
 
     shear_Pa: float
@@ -37,7 +37,7 @@ class Branch:
 
 
 class Relaxation(NamedTuple):
-    """G(s) / G_r = 1 + sum g s tau / (1 + s tau) + t s: the form of a law in time steppers and their models.
+    """G(s) / G_r = 1 + sum g s tau / (1 + s tau) + t s: form of a law in time steppers and reduced models.
 
     branches: (g, tau [s]) of each Maxwell branch; viscous_time_s: t = eta / G_r [s]
     """
@@ -47,7 +47,7 @@ class Relaxation(NamedTuple):
 
     @property
     def active(self) -> tuple[tuple[float, float], ...]:
-        """The branches with stiffness and time above 0."""
+        """Branches with stiffness and time above 0."""
         return tuple((ratio, time_s) for ratio, time_s in self.branches if ratio > 0.0 and time_s > 0.0)
 
     def stiffening(self, s: complex | Complex) -> complex | Complex:
@@ -62,17 +62,17 @@ class Relaxation(NamedTuple):
 class Material:
     """Spring, Maxwell branches and dashpot in parallel, in shear: G(s) = G_r + sum G_i s tau_i/(1 + s tau_i) + eta s.
 
-    No branch and no dashpot: elastic. A dashpot alone: Kelvin-Voigt. One branch: standard linear solid. More: Prony
-    series. A law of another form is a subclass (docs/materials.md) with its own `stiffening`, by ratios to G_r and
-    times, and a `series` that replaces it in time. Solvers compute with `stiffening` and `modulus` at rates s, with
-    `relaxation` in time, and with G_r, K, `shear_instant_Pa` and `bulk_instant_Pa` as bounds.
+    No branch and no dashpot: elastic. A dashpot alone: Kelvin-Voigt. One branch: standard linear solid. More branches:
+    Prony series. A law of another form is a subclass (docs/materials.md). It has its own `stiffening`, by ratios to
+    G_r and times, and a `series` that replaces it in time steppers. Solvers use `stiffening` and `modulus` at rates s,
+    `relaxation` in time, and G_r, K, `shear_instant_Pa` and `bulk_instant_Pa` as bounds.
 
     density_kg_m3: rho [kg/m^3], > 0.
     shear_relaxed_Pa: G_r [Pa], > 0.
     branches: Maxwell branches, any number.
     bulk_Pa: K [Pa], > 0, of the relaxed solid.
     viscosity_Pa_s: eta [Pa s], >= 0.
-    bulk_relaxes: whether K follows G, K(s) = K G(s) / G_r (Poisson's ratio is constant), or is elastic.
+    bulk_relaxes: True: K(s) = K G(s) / G_r (Poisson's ratio is constant); False: K is elastic.
     source: source of the numbers.
 
     Raises SceneError for a value outside these ranges.
@@ -102,40 +102,40 @@ class Material:
 
     @property
     def series(self) -> tuple[Branch, ...]:
-        """Maxwell branches that replace the law in time, parallel to spring and dashpot."""
+        """Maxwell branches, parallel to spring and dashpot, that replace the law in time steppers."""
         return self.branches
 
     @cached_property
     def relaxation(self) -> Relaxation:
-        """The law in time, by `series` and the dashpot."""
+        """Form of the law in time steppers, from `series` and the dashpot."""
         branches = tuple((branch.shear_Pa / self.shear_relaxed_Pa, branch.time_s) for branch in self.series)
         return Relaxation(branches, self.viscosity_Pa_s / self.shear_relaxed_Pa)
 
     @cached_property
     def series_error(self) -> float:
-        """Relative error of G in time, by `relaxation`, rms over FELT_Hz; 0 for branches of the material itself."""
+        """Relative error of G by `relaxation`, rms over FELT_Hz; 0 if the law has the form of `relaxation`."""
         s = np.asarray(-2j * np.pi * FELT_Hz, dtype=np.complex128)
         exact = self.stiffening(s)
         return float(np.sqrt(np.mean(np.abs((self.relaxation.stiffening(s) - exact) / exact) ** 2)))
 
     @property
     def law(self) -> tuple[type, Relaxation]:
-        """A value that is equal for materials with the same relaxation."""
+        """Value that is equal for materials with the same relaxation."""
         return type(self), self.relaxation
 
     @property
     def relaxes(self) -> bool:
-        """Whether it loses energy: it is not elastic."""
+        """Whether the material loses energy, so that it is not elastic."""
         return self.viscosity_Pa_s > 0.0 or len(self.relaxation.active) > 0
 
     @property
     def shear_instant_Pa(self) -> float:
-        """G_r + sum G_i [Pa], the instantaneous shear modulus without the dashpot, with which it would be infinite."""
+        """Instantaneous shear modulus G_r + sum G_i [Pa], without the dashpot, which would make it infinite."""
         return self.shear_relaxed_Pa + sum(b.shear_Pa for b in self.series if b.time_s > 0.0)
 
     @property
     def bulk_instant_Pa(self) -> float:
-        """The instantaneous bulk modulus [Pa]."""
+        """Instantaneous bulk modulus [Pa]."""
         return self.bulk_Pa * (self.shear_instant_Pa / self.shear_relaxed_Pa if self.bulk_relaxes else 1.0)
 
     def stiffening(self, s: complex | Complex) -> complex | Complex:
@@ -143,12 +143,12 @@ class Material:
         return self.relaxation.stiffening(s)
 
     def modulus(self, s: complex | Complex) -> complex | Complex:
-        """Return G(s) [Pa]."""
+        """Return G(s) [Pa]; arguments as for `stiffening`."""
         return self.shear_relaxed_Pa * self.stiffening(s)
 
 
 def bulk_from_poisson(nu: float, shear: float) -> float:
-    """Return the bulk modulus K = 2 G (1 + nu) / (3 (1 - 2 nu)) [Pa] of Poisson's ratio nu and shear modulus [Pa].
+    """Return the bulk modulus K = 2 G (1 + nu) / (3 (1 - 2 nu)) [Pa] for Poisson's ratio nu and shear modulus G [Pa].
 
     Raises SceneError unless -1 < nu < 0.5 and shear > 0.
     """
@@ -168,7 +168,7 @@ def elastic(
     source: str = "",
     bulk_relaxes: bool = False,
 ) -> Material:
-    """Spring G alone: density rho [kg/m^3], shear modulus G [Pa], Poisson's ratio nu; errors as `prony`."""
+    """Return a spring G: density rho [kg/m^3], shear modulus G [Pa], Poisson's ratio nu; errors as for `prony`."""
     return prony(name, density_kg_m3, shear_Pa, (), (), nu, source=source, bulk_relaxes=bulk_relaxes)
 
 
@@ -182,7 +182,7 @@ def kelvin_voigt(
     source: str = "",
     bulk_relaxes: bool = False,
 ) -> Material:
-    """Spring G [Pa] parallel to a dashpot eta [Pa s]: G(s) = G + eta s. nu is of the spring; errors as `prony`."""
+    """Return a spring G [Pa] parallel to a dashpot eta [Pa s]: G(s) = G + eta s. nu: of the spring; see `prony`."""
     return prony(
         name, density_kg_m3, shear_Pa, (), (), nu,
         viscosity_Pa_s=viscosity_Pa_s, source=source, bulk_relaxes=bulk_relaxes,
@@ -201,7 +201,7 @@ def standard_linear(
     source: str = "",
     bulk_relaxes: bool = False,
 ) -> Material:
-    """Spring G_r [Pa] parallel to one Maxwell branch G_m [Pa], tau [s] (standard linear solid); errors as `prony`."""
+    """Return a standard linear solid: spring G_r [Pa] parallel to a Maxwell branch G_m [Pa], tau [s]; see `prony`."""
     return prony(
         name, density_kg_m3, relaxed_Pa, (branch_Pa,), (time_s,), nu,
         nu_of=nu_of, source=source, bulk_relaxes=bulk_relaxes,
@@ -221,10 +221,10 @@ def prony(
     source: str = "",
     bulk_relaxes: bool = False,
 ) -> Material:
-    """Spring G_r [Pa] parallel to Maxwell branches of moduli G_i [Pa] and times tau_i [s], and a dashpot eta [Pa s].
+    """Return a spring G_r [Pa] parallel to Maxwell branches G_i [Pa], tau_i [s], and a dashpot eta [Pa s].
 
-    nu: Poisson's ratio, above -1; 0.5 gives K = INCOMPRESSIBLE times its shear modulus.
-    nu_of: the shear modulus to which nu applies: "instant", G_r + sum G_i (the dashpot left out), or "relaxed", G_r.
+    nu: Poisson's ratio, above -1; 0.5 gives K = INCOMPRESSIBLE times the shear modulus.
+    nu_of: the shear modulus to which nu applies: "instant", G_r + sum G_i (without the dashpot), or "relaxed", G_r.
         The default is "instant", because soft tissue is nearly incompressible at all rates. If the bulk relaxes too, nu
         is the same at all rates, and K of the relaxed solid follows from G_r.
     Raises SceneError as Material and bulk_from_poisson, for unequal numbers of moduli and times, and an unknown nu_of.
@@ -249,7 +249,7 @@ def complex_shear(material: Material, f_Hz: float) -> complex:
 
 
 def complex_bulk(material: Material, f_Hz: float) -> complex:
-    """Return the complex bulk modulus [Pa] at f [Hz] under e^{-i w t}; real unless it follows the shear modulus."""
+    """Return the complex bulk modulus [Pa] at f [Hz] under e^{-i w t}; real unless `bulk_relaxes`."""
     return complex(material.bulk_Pa * (material.stiffening(-2j * math.pi * f_Hz) if material.bulk_relaxes else 1.0))
 
 

@@ -1,8 +1,7 @@
 """Prony series from data: measured storage and loss moduli, and fractional laws.
 
-The moduli are linear in the branches' stiffnesses and not in their times, so the times are sought by least squares
-and the stiffnesses, which must not be negative, by non-negative least squares inside (variable projection, Golub &
-Pereyra 1973).
+The moduli are linear in the stiffnesses of the branches, but not in their times. Least squares find the times; for
+given times, non-negative least squares find the stiffnesses (variable projection, Golub & Pereyra 1973).
 """
 
 import math
@@ -17,7 +16,7 @@ from palmfield.skin.materials.material import Material, prony
 from palmfield.types import Complex, Float
 
 SOFTEST = 1e-3
-"""Least relaxed modulus of a fit, over the smallest storage modulus: a Material needs one above 0."""
+"""Least relaxed modulus of a fit over the smallest storage modulus: a Material needs a relaxed modulus above 0."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +43,12 @@ class PronyFit:
 def fit_prony(
     f_Hz: Float, storage_Pa: Float, loss_Pa: Float, branches: int, relaxed_Pa: float | None = None
 ) -> PronyFit:
-    """Fit a spring and this number of Maxwell branches to storage and loss moduli, each weighted by its own size.
+    """Fit a spring and a number of Maxwell branches to storage and loss moduli, with relative errors as residuals.
 
     f_Hz: frequencies [Hz], above 0, shape (m,). storage_Pa, loss_Pa: G' and G'' [Pa], both positive, shape (m,).
     branches: n, 1 or more; the fit has 2 n + 1 numbers, so at least n + 1 frequencies are needed.
-    relaxed_Pa: the spring G_r [Pa] where it is known.
-    The fit is a local minimum, the best of three starts. A branch that the data do not need has stiffness 0.
+    relaxed_Pa: the spring G_r [Pa] if it is given; otherwise it is fitted.
+    The fit is the best local minimum of three starts. A branch that the data do not need has stiffness 0.
     Raises SceneError for other shapes, numbers that are not finite and above 0, and too many branches.
     """
     f, storage, loss = (np.asarray(values, dtype=float) for values in (f_Hz, storage_Pa, loss_Pa))
@@ -93,7 +92,7 @@ def fit_prony(
 def fractional_kelvin_voigt(f_Hz: Float, relaxed_Pa: float, coefficient_Pa_s: float, exponent: float) -> Complex:
     """Return G(w) = G_0 + C (i w)^a as G' - iG'' [Pa], shape of f_Hz; C in Pa s^a, a in 0..1.
 
-    At high frequency the loss tangent is that of the spring-pot, tan(pi a / 2).
+    At high frequency the loss tangent approaches tan(pi a / 2), that of the spring-pot.
     """
     omega = 2.0 * math.pi * np.asarray(f_Hz, dtype=float)
     return np.asarray(relaxed_Pa + coefficient_Pa_s * (-1j * omega) ** exponent, dtype=np.complex128)
@@ -108,13 +107,13 @@ def fractional(
     nu: float = 0.4999,
     source: str = "",
 ) -> tuple[Material, PronyFit]:
-    """Material that follows a fractional law over a band, and the Prony fit with its misfit.
+    """Return a material that approximates a fractional law over a band, and its Prony fit with the misfit.
 
     modulus: G' - iG'' [Pa] at frequencies [Hz], for example
         `lambda f: fractional_kelvin_voigt(f, 2e3, 300.0, 0.25)`.
-    band_Hz: lowest and highest frequency [Hz]; 20 points a decade, evenly spaced in log f.
-    One branch a decade fits a spring-pot of exponent 0.2 within a few per cent: `PronyFit` has the misfit.
-    Raises SceneError for a band that is not 0 < low < high and as fit_prony and Material.
+    band_Hz: lowest and highest frequency [Hz]; the fit has 20 points per decade, evenly spaced in log f.
+    One branch per decade fits a spring-pot of exponent 0.2 within a few per cent: `PronyFit` has the misfit.
+    Raises SceneError for a band that is not 0 < low < high, and as fit_prony and Material.
     """
     low, high = band_Hz
     if not (math.isfinite(high) and 0.0 < low < high):

@@ -1,4 +1,4 @@
-"""A named material, and the uncertainty of its numbers."""
+"""A preset material and the uncertainty of its numbers."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,10 +11,10 @@ UNITS: dict[str, str] = {"surface speed": "m/s", "shear speed": "m/s", "decay": 
 
 @dataclass(frozen=True)
 class Range:
-    """A parameter of a Material (the name of a field) or of its whole shear modulus ("shear"), and its range.
+    """Range of a parameter: name of a field of Material, or "shear" for all shear moduli together.
 
-    low, high: values in the unit of the field, or factors on the shear modulus of the preset for the parameter "shear".
-    source: the kind of range (one standard deviation, extremes, ...) and its origin.
+    low, high: values in the unit of the field; for "shear", factors on the shear modulus of the preset.
+    source: kind of range (one standard deviation, extremes, ...) and origin.
     """
 
     parameter: str
@@ -27,11 +27,10 @@ class Range:
 class Observation:
     """A measurement with which a material can be compared.
 
-    quantity: "surface speed" [m/s]: phase speed of the Rayleigh wave; "shear speed" [m/s]. "decay": |u(40 mm)| over
-        |u(5 mm)| from a Gaussian spot of 10 mm full width on a layer depth_m deep, bonded to bone. "storage in
-        compression" [Pa]: 3 G' of a bar that may widen freely.
-    f_Hz: frequency [Hz]. value: value in UNITS[quantity]. spread: its standard deviation or half its range, None if
-    unknown.
+    quantity: "surface speed" [m/s]: phase speed of the Rayleigh wave; "shear speed" [m/s]; "decay": |u(40 mm)| /
+        |u(5 mm)| from a Gaussian spot of 10 mm full width on a layer of depth depth_m, bonded to bone; "storage in
+        compression" [Pa]: 3 G' of a bar with free sides.
+    f_Hz: frequency [Hz]. value: in UNITS[quantity]. spread: standard deviation or half the range, None if unknown.
     """
 
     quantity: Quantity
@@ -44,7 +43,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Preset:
-    """A material, the ranges of its numbers, and the measurements for comparison."""
+    """A material, the ranges of its numbers, and measurements for comparison."""
 
     material: Material
     ranges: tuple[Range, ...] = ()

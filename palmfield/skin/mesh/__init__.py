@@ -1,4 +1,4 @@
-"""Quadratic wedges below a surface, the rows and patches that they are made from, and an order to eliminate them in."""
+"""Quadratic wedges below a surface, the rows and patches of which they are made, and their elimination order."""
 
 import lazy_loader
 

@@ -10,7 +10,7 @@ from palmfield.skin.problem import Slab
 from palmfield.types import Float, Patch
 
 GROWTH = 1.6
-"""Growth of the rows of elements with depth."""
+"""Ratio of the heights of neighbouring rows of elements, growing with depth."""
 STEEPEST = 0.4
 """Growth of the edges of a box with distance from its fine part."""
 
@@ -19,11 +19,12 @@ STEEPEST = 0.4
 class Sizes:
     """Sizes of the elements of a mesh.
 
-    fine_m, coarse_m: edges within fine_radius_m of `centre_m` and farthest from it [m]. row_m, deepest_row_m: height of
-    the first row and largest height of a row [m]; refinements: how often the triangles of a layer are quartered.
+    fine_m, coarse_m: edges within fine_radius_m of `centre_m`, and farthest from it [m].
+    row_m, deepest_row_m: height of the first row, and largest height of a row [m].
+    refinements: number of quarterings of the triangles of a layer.
     reach_m: distance from the centre to the end of the undamped part of an infinite slab [m].
-    ring_m: width of the damped ring round it, or round an absorbing slab [m]. match_Hz: frequency of its damping.
-    remesh: whether a layer gets triangles of these sizes in place of its own.
+    ring_m: width of the damped ring round an infinite or absorbing slab [m]. match_Hz: frequency of its damping [Hz].
+    remesh: whether triangles of these sizes replace the triangles of a layer.
     """
 
     centre_m: tuple[float, float]
@@ -39,7 +40,7 @@ class Sizes:
     remesh: bool = False
 
     def scaled(self, factor: float) -> "Sizes":
-        """Return the same with all elements `factor` times as large; triangles of a layer by whole quarterings."""
+        """Return sizes times `factor`; triangles of a layer change by whole quarterings."""
         return replace(
             self, fine_m=factor * self.fine_m, coarse_m=factor * self.coarse_m, row_m=factor * self.row_m,
             deepest_row_m=factor * self.deepest_row_m, refinements=max(0, self.refinements - round(math.log2(factor))),
@@ -47,7 +48,7 @@ class Sizes:
 
 
 def graded_fractions(depth_m: float, row_m: float, deepest_row_m: float) -> Float:
-    """Depth fractions of at least two rows of elements, (L+1,), growing by GROWTH from row_m to deepest_row_m [m]."""
+    """Return depth fractions of L >= 2 rows of elements, (L+1,), growing by GROWTH from row_m to deepest_row_m [m]."""
     heights = [min(row_m, 0.5 * depth_m)]
     while sum(heights) < depth_m * (1.0 - 1e-9):
         heights.append(min(GROWTH * heights[-1], max(deepest_row_m, row_m)))
@@ -57,7 +58,7 @@ def graded_fractions(depth_m: float, row_m: float, deepest_row_m: float) -> Floa
 
 
 def slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
-    """The face of the slab, a ring round it where its sides absorb, and each vertex's distance into that ring [m]."""
+    """Return the face of the slab, with a ring if its sides absorb, and the distance of vertices into the ring [m]."""
     ring = sizes.ring_m if slab.shape == "infinite" or slab.side == "absorbing" else 0.0
     if slab.shape == "box":
         assert slab.size_m is not None
@@ -77,7 +78,7 @@ def slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
 
 
 def box_patch(half_m: Float, thickness_m: float, sizes: Sizes) -> Patch:
-    """A rectangle of half widths half_m (2,), with line spacing by `sizes`, its squares cut crosswise in turn."""
+    """Return a rectangle of half widths half_m (2,) on grid lines by `sizes`; diagonals of its cells alternate."""
     x, y = (_lines(float(half), centre, sizes) for half, centre in zip(half_m, sizes.centre_m, strict=True))
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=2).reshape(-1, 2)
     i, j = (a.ravel() for a in np.meshgrid(np.arange(len(x) - 1), np.arange(len(y) - 1), indexing="ij"))
@@ -91,7 +92,7 @@ def box_patch(half_m: Float, thickness_m: float, sizes: Sizes) -> Patch:
 
 
 def _lines(half: float, centre: float, sizes: Sizes) -> Float:
-    """Return the grid lines from -half to half, their distance growing from the fine part outwards."""
+    """Return the grid lines from -half to half; their distance grows outwards from the fine part."""
     x = np.linspace(-half, half, 2001)
     outside = np.maximum(np.abs(x - centre) - sizes.fine_radius_m, 0.0)
     density = 1.0 / np.minimum(sizes.fine_m + STEEPEST * outside, max(sizes.coarse_m, sizes.fine_m))
@@ -100,7 +101,7 @@ def _lines(half: float, centre: float, sizes: Sizes) -> Float:
 
 
 def quartered(patch: Patch) -> Patch:
-    """Every triangle cut into four at its edges' middles; depths and inward directions are the means of their ends."""
+    """Cut each triangle into four at the middles of its edges; depths and inward directions are means of the ends."""
     faces = np.asarray(patch.faces)
     pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, of, uses = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)

@@ -1,4 +1,4 @@
-"""Skin round a cylinder, such as a finger or a gel wrapped round its bone: surfaces, and a layer all round."""
+"""Surfaces and layers round a cylinder, such as a finger, or a gel round a bone."""
 
 import math
 
@@ -8,21 +8,21 @@ from palmfield.errors import SceneError
 from palmfield.types import Float, Int, Patch, Surface
 
 FACETS = 120
-"""Number of edges round the cylinder of a scene: the middle of an edge lies 0.03 % of the radius inside it."""
+"""Number of edges round the cylinder of a scene; the middle of an edge is 0.03 % of the radius inside the circle."""
 FEWEST = 12
-"""Edges round a cylinder, at least; a facet of a 48th of a turn lies 0.2 % of the radius inside it."""
+"""Least number of edges round a cylinder. With 48 edges, the middle of an edge is 0.2 % of the radius inside."""
 
 
 def cylinder_patch(radius_m: float, length_m: float, thickness_m: float, edge_m: tuple[float, float]) -> Patch:
-    """Return the face of a cylinder all round, without its ends: a layer of this thickness on a rigid bone.
+    """Return the whole lateral face of a cylinder, for a layer of this thickness on a rigid bone.
 
-    The axis is x, the middle the origin. Its vertices lie on the cylinder and the edges between them are straight:
-    quartering them makes elements smaller and leaves their outline, so `edge_m` determines how round it is.
+    The axis is x; the middle is the origin. Vertices lie on the cylinder; edges are straight. Quartered triangles stay
+    in the same planes, so `edge_m` determines how round the body is.
 
-    radius_m: radius of the face; thickness_m: thickness of the layer, so that the bone has the rest; edge_m: edge
-    length round the cylinder and along it [m]. Returns a Patch whose rim is both ends. Raises SceneError unless all
-    lengths are above 0, the thickness is below the radius, and edges are no longer than the cylinder and a twelfth of
-    its girth.
+    radius_m: radius of the face [m]; thickness_m: thickness of the layer [m], the bone has the rest of the radius.
+    edge_m: edge length round the cylinder and along it [m]. Returns a Patch whose rim is both ends.
+    Raises SceneError unless all lengths are above 0, the thickness is below the radius, and the edges are at most as
+    long as the cylinder and a twelfth of its circumference.
     """
     _check(radius_m, length_m, edge_m)
     if not 0.0 < thickness_m < radius_m:
@@ -43,9 +43,7 @@ def cylinder_patch(radius_m: float, length_m: float, thickness_m: float, edge_m:
 
 
 def cylinder_surface(radius_m: float, length_m: float, edge_m: tuple[float, float]) -> Surface:
-    """A closed cylinder about x with flat ends, its middle at the origin, for the body of a scene; as
-    `cylinder_patch`.
-    """
+    """Return a closed cylinder with flat ends for the body of a scene; arguments as for `cylinder_patch`."""
     _check(radius_m, length_m, edge_m)
     vertices, faces, around = _tube(radius_m, length_m, edge_m)
     count = len(vertices)
@@ -60,13 +58,13 @@ def cylinder_surface(radius_m: float, length_m: float, edge_m: tuple[float, floa
 
 
 def round_body(radius_m: float, length_m: float) -> Surface:
-    """Return the surface of a cylinder for a scene: facets of a 120th of a turn, at most four times as long as wide."""
+    """Return the surface of a cylinder for a scene: FACETS facets round it, at most four times as long as wide."""
     around = 2.0 * math.pi * radius_m / FACETS
     return cylinder_surface(radius_m, length_m, (around, min(4.0 * around, length_m)))
 
 
 def _tube(radius_m: float, length_m: float, edge_m: tuple[float, float]) -> tuple[Float, Int, int]:
-    """Return the vertices ring by ring from low x, faces counter-clockwise from outside, and how many a ring has."""
+    """Return vertices by ring from low x, faces (counter-clockwise from outside), and number of vertices per ring."""
     around = max(FEWEST, math.ceil(2.0 * math.pi * radius_m / edge_m[0]))
     rings = max(2, math.ceil(length_m / edge_m[1])) + 1
     # Every other ring is rotated by half an edge, so that the mesh has no preferred direction

@@ -13,11 +13,11 @@ from palmfield.hand.triangles import signed_areas
 from palmfield.types import Float, Int, Patch
 
 STEEPEST = 0.4
-"""Growth of the edge with distance from the centre above which rings of triangles turn into slivers."""
+"""Largest growth of the edge with distance from the centre; steeper growth makes triangles that are too thin."""
 
 
 OUTLINE, GRID = 720, 257
-"""Points of the outline of a circle, and of a grid along each side of its square."""
+"""Number of points on the outline of a circle, and of grid points along each side of its square."""
 
 
 def disc_patch(
@@ -28,13 +28,12 @@ def disc_patch(
     fine_radius_m: float,
     fine_at: tuple[float, float] = (0.0, 0.0),
 ) -> Patch:
-    """Disc of concentric rings of vertices, joined by Delaunay triangles.
+    """Return a disc of concentric rings of vertices, joined by Delaunay triangles.
 
     radius_m, thickness_m: radius and thickness of the disc [m]. fine_m: edge length within fine_radius_m of the centre
-    [m]. coarse_m: edge length at the rim [m], reached linearly in the distance from the centre, but no faster than
-    STEEPEST.
-    fine_at: centre of the fine edges [m] instead of the centre of the disc; then there are rings near it only.
-    Returns a Patch with its face at z = 0 looking along +z, `inward` along -z and `axis` +z.
+    [m]. coarse_m: edge length at the rim [m]; edges grow linearly with distance from the centre, at most by STEEPEST.
+    fine_at: centre of the fine edges [m] instead of the centre of the disc; then there are rings only near it.
+    Returns a Patch with face at z = 0, outward normal +z, `inward` along -z and `axis` +z.
     Raises SceneError unless all lengths are > 0, fine_m <= coarse_m <= radius_m and fine_radius_m <= radius_m.
     """
     if not 0.0 < fine_m <= coarse_m <= radius_m or not 0.0 < fine_radius_m <= radius_m or not thickness_m > 0.0:
@@ -51,7 +50,7 @@ def disc_patch(
 
 
 def flat_patch(points: Float, faces: Int, thickness_m: float, rim: NDArray[np.bool_]) -> Patch:
-    """Return a face at z = 0 looking along +z, of vertices (n, 2) [m], over a layer of one thickness."""
+    """Return a flat face at z = 0, outward normal +z, with vertices (n, 2) [m], over a layer of constant thickness."""
     count = len(points)
     return Patch(
         vertices=np.column_stack([points, np.zeros(count)]),
@@ -87,7 +86,7 @@ def _ringed(radius_m: float, fine_m: float, coarse_m: float, fine_radius_m: floa
 def _round(
     radius_m: float, fine_m: float, coarse_m: float, fine_radius_m: float, fine_at: tuple[float, float]
 ) -> tuple[Float, Int]:
-    """Return the vertices and faces of a disc with fine edges round a place off its centre."""
+    """Return vertices and faces of a disc with fine edges round a place that is not its centre."""
     away = math.hypot(*fine_at)
     grown = min(coarse_m, fine_m + STEEPEST * max(radius_m + away - fine_radius_m, 0.0))
     size = graded_size(fine_m, grown, fine_radius_m, radius_m, fine_at)

@@ -4,13 +4,13 @@ Displacement: quadratic on the triangle (three vertices, then edges 01, 12, 20) 
 level (base side, middle, surface side). Geometry: linear times linear, 6 corners, by level. Volumetric strain:
 projected element by element on {1, x, y} times {1, zeta}, x = xi - 1/3, y = eta - 1/3.
 
-Why that space: centre displacement of the 120 x 20 mm disc, 6 mm triangles, 3 layers; static error for nu
-0.45 / 0.495 / 0.4999 / 0.499999: on {1} +22 / +24 / +25 / +25 %; {1, zeta} +17 / +20 / +20 / +20 %; {1, x, y, zeta}
-+4.7 / +5.1 / +5.1 / +5.1 %; this one -0.3 / -0.4 / -0.5 / -0.5 %. The pair is not inf-sup stable: the constant falls
-with h, from 0.055 to 0.025 between 8 mm and 3.5 mm ({1, zeta}: 0.43 to 0.32). Displacements still converge and do not
-lock, but the pressure of single elements must not be used. Interior triangle bubbles (21 nodes) on seven
-meshes gave 0.02-0.65 % static and 0.03-1.7 % at 200 Hz against 0.2-0.9 % and 0.15-0.85 % without, for 1.5 times the
-unknowns and twice the time: left out.
+Reason for this space: static error of the centre displacement of a disc, 120 x 20 mm, 6 mm triangles, 3 rows, for nu
+0.45 / 0.495 / 0.4999 / 0.499999. {1}: +22 / +24 / +25 / +25 %; {1, zeta}: +17 / +20 / +20 / +20 %; {1, x, y, zeta}:
++4.7 / +5.1 / +5.1 / +5.1 %; this space: -0.3 / -0.4 / -0.5 / -0.5 %. The pair is not inf-sup stable: the constant falls
+with h, from 0.055 at 8 mm to 0.025 at 3.5 mm ({1, zeta}: 0.43 to 0.32). Displacements still converge and do not lock,
+but the pressure of single elements must not be used. Interior bubbles of triangles (21 nodes) are not used: they need
+1.5 times the unknowns and twice the time. On seven meshes their errors were 0.02-0.65 % static and 0.03-1.7 % at
+200 Hz; without them 0.2-0.9 % and 0.15-0.85 %.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ EDGES = np.array([[0, 1], [1, 2], [2, 0]])
 
 
 def triangle_rule() -> tuple[Float, Float]:
-    """Return six points (6, 2) and weights (6,) on the reference triangle, exact to degree 4 (Dunavant 1985)."""
+    """Return the six points (6, 2) and weights (6,) on the reference triangle, exact to degree 4 (Dunavant 1985)."""
     a, b = 0.445948490915965, 0.091576213509771
     wa, wb = 0.223381589678011, 0.109951743655322
     points = [(p, q) for s in (a, b) for p, q in ((s, s), (1 - 2 * s, s), (s, 1 - 2 * s))]
@@ -35,7 +35,7 @@ def triangle_shape(points: Float) -> Float:
 
 
 def triangle_slopes(points: Float) -> Float:
-    """Their derivatives by (xi, eta), shape (q, 6, 2)."""
+    """Return the derivatives of the six functions by (xi, eta) at points (q, 2), shape (q, 6, 2)."""
     b = _barycentric(points)
     db = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
     vertex = (4 * b - 1)[:, :, None] * db
@@ -49,7 +49,7 @@ def _barycentric(points: Float) -> Float:
 
 
 def prism_rule() -> tuple[Float, Float]:
-    """Return eighteen points (18, 3) and weights (18,): the six of the triangle times three Gauss points."""
+    """Return eighteen points (18, 3) and weights (18,): six points of the triangle times three Gauss points."""
     points, weights = triangle_rule()
     zeta, line = np.polynomial.legendre.leggauss(3)
     prism = np.column_stack([np.tile(points, (3, 1)), np.repeat(zeta, 6)])
@@ -57,7 +57,7 @@ def prism_rule() -> tuple[Float, Float]:
 
 
 def displacement_shape(points: Float) -> tuple[Float, Float]:
-    """Values (q, 18) and derivatives by (xi, eta, zeta) (q, 18, 3) of the shape functions of the displacement."""
+    """Return the shape functions of the displacement (q, 18) and derivatives by (xi, eta, zeta), (q, 18, 3)."""
     z = points[:, 2]
     line = np.column_stack([z * (z - 1) / 2, 1 - z**2, z * (z + 1) / 2])
     line_slope = np.column_stack([z - 0.5, -2 * z, z + 0.5])
@@ -74,7 +74,7 @@ def corner_slopes(points: Float) -> Float:
 
 
 def _product(flat: Float, flat_slopes: Float, line: Float, line_slope: Float) -> tuple[Float, Float]:
-    """Tensor product of triangle and line functions, the index of the line slowest."""
+    """Return the tensor product of triangle and line functions; the index of the line varies slowest."""
     count = len(flat)
     values = np.einsum("ql,qt->qlt", line, flat).reshape(count, -1)
     lateral = np.einsum("ql,qtd->qltd", line, flat_slopes)

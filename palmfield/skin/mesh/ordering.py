@@ -1,11 +1,11 @@
 """Elimination order of a layer: nested dissection of its surface (George 1973).
 
-Stored values in both factors and ms per solve of SuperLU, on one core of the 2-core machine, for the layers of
-follow_fingertip, two_hands, hover_explore, phantom_am200 and palm_am200. MMD and COLAMD are the orders of SuperLU;
-"before" cut at the median node. So this order is used for every layer: where another has less fill, it is by a few
-per cent of a small factor.
+The table has stored values in both factors and ms per solve of SuperLU, on one core of the 2-core machine. Layers:
+follow_fingertip, two_hands, hover_explore, phantom_am200, palm_am200. MMD and COLAMD are orders of SuperLU; "median"
+cuts at the median node. "This" order is used for every layer: if another has less fill, it saves a few per cent of a
+small factor.
 
-| unknowns | before | MMD_AT_PLUS_A | COLAMD | this |
+| unknowns | median | MMD_AT_PLUS_A | COLAMD | this |
 |---|---|---|---|---|
 | 1,512 | 0.53 M, 0.37 ms | 0.36 M, 0.24 ms | 0.35 M, 0.18 ms | 0.36 M, 0.29 ms |
 | 2,760 | 1.43 M, 0.78 ms | 1.18 M, 0.72 ms | 1.05 M, 0.59 ms | 0.89 M, 0.49 ms |
@@ -20,20 +20,20 @@ from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.types import Float, Int
 
 DIRECTIONS = 4
-"""Trial directions of the cut of a piece."""
+"""Number of trial directions of the cut through a piece."""
 PLACES = (0.42, 0.46, 0.5, 0.54, 0.58)
-"""Shares of the triangles of a piece before the cut that are tried."""
+"""Trial shares of the triangles of a piece on the first side of the cut."""
 SMALLEST = 3
-"""Number of nodes of a piece up to which it is not cut further."""
+"""Largest number of nodes of a piece that is not cut further."""
 
 
 def dissection_order(mesh: WedgeMesh, surface_node: Int) -> Int:
-    """Return the permutation of unknowns, shape (n,): old index by new place.
+    """Return the permutation of unknowns, shape (n,): old index at each new place.
 
-    surface_node: surface node under which each unknown lies, shape (n,)
-    The layer is thin, so its surface alone is dissected, all unknowns under one surface node staying together. A piece
-    is a set of triangles. Of some cuts through a piece, the cut with the fewest nodes on both sides is used, since
-    these nodes separate the two halves. Nodes without unknowns separate at no cost.
+    surface_node: surface node above each unknown, shape (n,)
+    The layer is thin, so only its surface is dissected; all unknowns under one surface node stay together. A piece is
+    a set of triangles. Several cuts through a piece are tried. The cut with the fewest nodes that belong to both sides
+    is used, because these nodes separate the two halves. Nodes without unknowns do not count.
     """
     free = np.zeros(mesh.surface_nodes, dtype=bool)
     free[surface_node] = True
@@ -47,7 +47,7 @@ def dissection_order(mesh: WedgeMesh, surface_node: Int) -> Int:
 
 
 def _dissect(triangles: Int, middles: Float, piece: Int, pending: np.ndarray) -> list[Int]:
-    """Return the nodes of a piece in order of elimination, its separator last; they are struck off `pending` (S,)."""
+    """Return the nodes of a piece in order of elimination, its separator last, and remove them from `pending` (S,)."""
     nodes = np.unique(triangles[piece])
     nodes = nodes[pending[nodes]]
     if len(piece) == 1 or len(nodes) <= SMALLEST:
@@ -65,7 +65,7 @@ def _dissect(triangles: Int, middles: Float, piece: Int, pending: np.ndarray) ->
             offset[triangles[near]] = True
             common = np.unique(triangles[far])
             common = common[offset[common] & pending[common]]
-            # Unequal halves are penalised too.
+            # Unequal halves have a penalty.
             if len(common) * (1.0 + abs(share - 0.5)) < least:
                 least, parts, separator = len(common) * (1.0 + abs(share - 0.5)), (near, far), common
     pending[separator] = False

@@ -10,11 +10,11 @@ from palmfield.types import Float
 
 
 def element_rows(sheets: Sequence[Sheet], fractions: Float) -> tuple[Float, list[Material]]:
-    """Depth fractions of rows of elements such that none crosses two sheets, (L+1,), and the material of each row.
+    """Return depth fractions of rows of elements, each in one sheet, (L+1,), and the material of each row.
 
-    sheets: the first at the surface; their thicknesses count as shares of their sum
-    fractions: fractions of a layer of one sheet, 0 first, 1 last. A sheet gets as many rows as they have in it, at
-    least one.
+    sheets: from the surface down; thicknesses are shares of their sum
+    fractions: depth fractions for a layer of one sheet, 0 first, 1 last; they determine the number of rows in each
+        sheet, at least one.
     """
     index = np.arange(len(fractions), dtype=float)
     total = sum(sheet.thickness_m for sheet in sheets)

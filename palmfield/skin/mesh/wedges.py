@@ -18,9 +18,9 @@ class WedgeMesh:
     elements: nodes of each wedge in the order of element.py, shape (m, 18), int32.
     surface_nodes: number S of nodes in a level: the vertices of the patch, then the midpoints of its edges.
     levels: number of node levels, 2 L + 1 for L elements through the depth.
-    surface_triangles6: vertices, then edges 01, 12, 20, as surface nodes, shape (t, 6), int32.
+    surface_triangles6: surface nodes of each triangle: vertices, then edges 01, 12, 20, shape (t, 6), int32.
     side: nodes of the lateral boundary, all levels, right-angled corners twice. base: nodes of the deepest level.
-    side_normals: unit normals of the lateral boundary, square to `axis`, shape (len(side), 3); empty without an axis.
+    side_normals: unit normals at these nodes, perpendicular to `axis`, (len(side), 3); empty without an axis.
     axis: axis of the patch for roller sides, or None.
     """
 
@@ -46,7 +46,7 @@ class WedgeMesh:
 
 
 def extrude(patch: Patch, fractions: Float) -> WedgeMesh:
-    """Solid between the patch and its offset by `depth` along `inward`.
+    """Return the mesh of the solid between the patch and its offset by `depth` along `inward`.
 
     fractions: depths of the element boundaries as shares of the patch depth, 0 first, 1 last, rising, shape (L+1,).
     Raises SceneError for other fractions, and for an inverted or flat element, with its place [m].
@@ -104,11 +104,10 @@ def extrude(patch: Patch, fractions: Float) -> WedgeMesh:
 
 
 def _rim_normals(vertices: Float, directed: Int, axis: Float, surface_nodes: int) -> tuple[Float, Int, Float]:
-    """Unit normals, square to the axis, at the nodes (start, end, middle) of the directed edges of the rim; 0
-    elsewhere.
+    """Return unit normals, perpendicular to the axis, at the nodes of directed rim edges (start, end, middle); else 0.
 
-    Also the vertices where the rim turns by more than 75 degrees, the corners of a box, and their second normals: a
-    roller holds both directions there.
+    Also returns the vertices where the rim turns by more than 75 degrees (corners of a box), and their second normals:
+    a roller side holds both directions there.
     """
     outwards = np.cross(vertices[directed[:, 1]] - vertices[directed[:, 0]], axis)
     total = np.zeros((surface_nodes, 3))
@@ -125,10 +124,10 @@ def _rim_normals(vertices: Float, directed: Int, axis: Float, surface_nodes: int
 
 
 def _check_volumes(nodes: Float, elements: Int) -> None:
-    """Every element must have det J > 0 at its quadrature points and corners, on the scale of its edges.
+    """Raise SceneError unless every element has det J > 0, relative to its size, at quadrature points and corners.
 
-    Where inward directions meet in a point, a column that passes it comes out turned by half a turn with det J > 0
-    again: so each edge of the base side must point in the direction of the same edge on the surface side.
+    If inward directions meet in a point above the base, the base is rotated by half a turn and det J > 0 again. So
+    each edge of the base must also point in the direction of the same edge of the surface.
     """
     corner_points = [[x, y, z] for z in (-1.0, 1.0) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))]
     slopes = corner_slopes(np.concatenate([prism_rule()[0], corner_points]))
@@ -148,15 +147,15 @@ def _check_volumes(nodes: Float, elements: Int) -> None:
 
 
 def output_triangles(mesh: WedgeMesh) -> Int:
-    """Four flat triangles for each quadratic one, over the S surface nodes, counter-clockwise, (4 t, 3), int32."""
+    """Return four flat triangles over surface nodes for each quadratic triangle, counter-clockwise, (4 t, 3), int32."""
     pieces = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
     return mesh.surface_triangles6[:, pieces].reshape(-1, 3)
 
 
 def closed_boundary(mesh: WedgeMesh) -> tuple[Float, Int]:
-    """Skin surface, base and cut side of a layer as one closed triangle mesh.
+    """Return skin surface, base and cut side of a layer as one closed triangle mesh: vertices and faces.
 
-    Returns vertices [m], shape (2 S, 3), the first S of them surface nodes of the skin, and faces, shape (m, 3).
+    Vertices [m] have shape (2 S, 3); the first S are the surface nodes of the skin. Faces have shape (m, 3).
     """
     count, top = mesh.surface_nodes, output_triangles(mesh)
     vertices = np.concatenate([mesh.nodes[:count], mesh.nodes[-count:]])
