@@ -13,7 +13,6 @@ from importlib import import_module
 from importlib.metadata import version
 from multiprocessing.connection import Connection
 from pathlib import Path
-from traceback import format_exception
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -290,31 +289,34 @@ def _drawn(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
 
 
 def _drawn_in_second_process(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
-    """Draw in the second process, or in this one if it has ended."""
+    """Draw in the second process, and then in this one what it could not draw."""
     remaining, second = list(names), _second.pop()
     try:
         second.talk.send((out, remaining))
         while remaining:
             with phase("second process"):
-                name, error = second.talk.recv()
+                name, failure = second.receive()
             remaining.remove(name)
-            yield name, error
+            yield name, failure and OutputError(failure)
         for profile in running[-1:]:
-            profile.add_process(second.talk.recv())
+            profile.add_process(second.receive())
+    except TimeoutError as error:
+        LOG.warning("%s; this process draws them", error)
     except (EOFError, OSError):
-        yield from _drawn(tree, out, remaining)
+        pass
     finally:
         second.end(working=bool(remaining))
+    yield from _drawn(tree, out, remaining)
 
 
 def _draw_for_first(talk: Connection) -> None:
-    """Draw what the first process requests over a connection."""
+    """Draw what the first process requests over a connection, up to an error that is no OutputError."""
     out, names = talk.recv()
     with finished_result(out / "result.nc") as tree, closing(_drawn(tree, out, names)) as pictures:
         for name, error in pictures:
             if error is not None and not isinstance(error, OutputError):
-                error.add_note("".join(format_exception(error)))
-            talk.send((name, error))
+                raise error  # ends this process; the other one meets the same error, which need not be sent
+            talk.send((name, error and str(error)))
 
 
 _second: list[SecondProcess] = []

@@ -13,13 +13,17 @@ from contextlib import suppress
 from importlib import import_module
 from multiprocessing import Pipe, get_context
 from multiprocessing.connection import Connection
+from pathlib import Path
 from types import FrameType
+from typing import Any
 
 from palmfield.phases import phase, running
 from palmfield.profile import Profile
 
 STOP_S, THREAD_S = 0.2, 0.05
 """Time to remove unfinished files, and for the end of a thread [s]."""
+IDLE_S = 10
+"""Time without progress after which a second process is given up [s]."""
 PR_SET_PDEATHSIG = 1
 """Option of prctl: the signal to this process when its parent ends."""
 
@@ -49,6 +53,19 @@ class SecondProcess:
         self._process.start()
         other_end.close()
 
+    def receive(self) -> Any:
+        """Return what the process sends. Raises EOFError or OSError if it has ended, or made no progress for IDLE_S."""
+        # Progress is CPU time: a long computation may go on, as in one process; a stopped or blocked process may not.
+        # Each second is counted, because this process may be stopped too (Ctrl-Z).
+        used, idle = [""], 0
+        while not self.talk.poll(1.0):
+            facts = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2]
+            before, used = used, facts.split()[11:13]
+            idle = idle + 1 if used == before else 0
+            if idle >= IDLE_S:
+                raise TimeoutError(f"the process that draws pictures made no progress for {IDLE_S} s")
+        return self.talk.recv()
+
     def end(self, working: bool = False) -> None:
         """End the process; working: let it remove unfinished files first, for at most STOP_S."""
         if working:
@@ -67,7 +84,8 @@ def _second(
     signal.signal(signal.SIGTERM, _interrupt)
     first_end.close()
     running[:] = [Profile()] if running else []
-    with suppress(KeyboardInterrupt, EOFError, OSError):
+    # After any error the first process does the work itself, and reports the error
+    with suppress(KeyboardInterrupt, Exception):
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
         if os.getppid() != first:
             return

@@ -32,11 +32,22 @@ def slow(tree, path):
     finally:
         (path.parent / ".unfinished").unlink()
 
+class Unsent:  # an error that cannot be pickled, and whose class needs its arguments
+    def __init__(self, first, second):
+        super().__init__(f"{first} of {second}")
+        self.held = sys.stdout
+
+class Odd(Unsent, ValueError):
+    pass
+
+class NoRoom(Unsent, recorded_run.OutputError):
+    pass
+
 def fails(tree, path):
-    raise ValueError("words of a library")
+    raise Odd("words", "a library")
 
 def no_room(tree, path):
-    raise recorded_run.OutputError("no room")
+    raise NoRoom("no room", "its own")
 
 def drawn(**more):
     return run(scene, out, estimate="none", **more)
@@ -89,18 +100,30 @@ with recorded_run.second_process_draws():
     drawn()
 """
     _, errors, code = ended(code, small_scene(), tmp_path)
-    assert code == 1 and "no pressure.png: no room" in errors and "ValueError: words of a library" in errors
-    assert "in fails" in errors, "the place in the second process is missing"
+    assert code == 1 and errors.startswith("WARNING:palmfield.session:no pressure.png: no room of its own\nTraceback")
+    assert errors.count("Traceback") == 1 and "in fails" in errors and "\nOdd: words of a library\n" in errors
 
 
-def test_the_first_process_draws_what_the_second_one_left(small_scene, tmp_path):
-    code = """
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_the_first_process_draws_what_the_second_one_left(number, small_scene, tmp_path):
+    code = f"""
+from palmfield.session import second_process
+second_process.IDLE_S = 1
+first, plain = os.getpid(), dict(recorded_run.PICTURES)
+
+def draw(tree, path):
+    if os.getpid() != first:
+        os.kill(os.getpid(), {number})
+    plain[path.name](tree, path)
+
+recorded_run.PICTURES = tuple((plain | {{"displacement.png": draw}}).items())
 with recorded_run.second_process_draws():
-    begin().kill()
+    begin()
     print(*drawn(usd=False).files)
 """
-    said, _, code = ended(code, small_scene(), tmp_path)
+    said, errors, code = ended(code, small_scene(), tmp_path)
     assert code == 0 and said.split()[-3:] == ["pressure.png", "displacement.png", "scene.png"]
+    assert ("no progress" in errors) == (number == signal.SIGSTOP)
 
 
 SLOW = """
