@@ -1,4 +1,4 @@
-"""Exact solutions with which solvers are compared."""
+"""Exact solutions for comparison with solvers."""
 
 import lazy_loader
 

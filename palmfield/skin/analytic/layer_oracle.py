@@ -1,15 +1,15 @@
-"""Exact solutions for a flat viscoelastic layer, by plane waves in depth: the independent check of the finite elements.
+"""Exact solutions for a flat viscoelastic layer, by plane waves in depth: an independent check of the finite elements.
 
-Two estimates also use it at run time: the distance to which a layer affects a load (approximation.truncate_domain) and
-the effect of a smaller bulk modulus (approximation.reduce_bulk_modulus). Those estimates are tested by solvers that
-do not use this file: the former by elements (axisymmetric), the latter by lateral waves.
+Two estimates also use this file at run time: the distance to which a layer affects a load
+(approximation.truncate_domain) and the effect of a smaller bulk modulus (approximation.reduce_bulk_modulus). Solvers
+that do not use this file test these estimates: axisymmetric elements the former, lateral waves the latter.
 
 Plane strain, e^{ikx - i w t}, depth z from the loaded face (z = 0) to the base (z = h). With
 alpha^2 = k^2 - w^2/c_p^2 and beta^2 = k^2 - w^2/c_s^2 the fields are a compression wave P = (ik, -alpha) e^{-alpha z},
 a shear wave S = (i beta, -k) e^{-beta z}, and their mirror images from the base (Achenbach 1973, ch. 5; Ewing,
-Jardetzky & Press 1957). P and S coincide as w -> 0, so S is replaced by (S - P)/(beta - alpha), written out without
-cancellation; its limit is the second static solution, with a factor z. All exponentials decay away from their own face:
-nothing overflows at large k h.
+Jardetzky & Press 1957). P and S coincide for w -> 0. So (S - P)/(beta - alpha) replaces S, in a form without
+cancellation; its limit is the second static solution, with a factor z. All exponentials decay away from their own
+face, so nothing overflows at large k h.
 """
 
 import math
@@ -26,14 +26,14 @@ from palmfield.types import Complex, Float
 def layer_compliance(
     k: Float | float, f_Hz: float, material: Material, thickness_m: float, base: BaseKind = "bonded"
 ) -> Complex:
-    """Normal surface compliance of an infinite layer under a normal pressure exp(ik.x) [m/Pa], positive when pushed in.
+    """Return the normal compliance of the face of an infinite layer under pressure exp(ik.x) [m/Pa], positive inwards.
 
     k: lateral wavenumber, >= 0 [rad/m], any shape. f_Hz: frequency, 0 for static [Hz]. thickness_m: layer depth [m].
     base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction) or "free" (no traction).
-    Returns complex128 of k's shape, under e^{-i w t}. k = 0 is a column that cannot widen. A static free-slip layer
-    under long waves can widen, so its limit for k -> 0 is another one: h (1 - nu^2) / E.
-    Raises SceneError for an unknown base, a thickness <= 0, a negative frequency, or a free layer, which has no
-    support, under static uniform pressure.
+    Returns complex128 in the shape of k, under e^{-i w t}. At k = 0 the layer cannot widen. A static free-slip layer
+    under long waves can widen, so its limit for k -> 0 is different: h (1 - nu^2) / E.
+    Raises SceneError for an unknown base, a thickness <= 0, a negative frequency, or a free layer under static
+    uniform pressure, because it has no support.
     """
     if base not in BASES:
         raise SceneError(f"base '{base}' is unknown; use one of {', '.join(BASES)}")
@@ -52,7 +52,7 @@ def layer_compliance(
 
 
 def _uniform_compliance(f_Hz: float, material: Material, h: float, base: BaseKind) -> complex:
-    """Return the k = 0 layer: a one-dimensional compression column."""
+    """Return the compliance for k = 0: a column in one-dimensional compression."""
     omega = 2.0 * math.pi * f_Hz
     modulus = complex_bulk(material, f_Hz) + 4.0 / 3.0 * complex_shear(material, f_Hz)
     if omega == 0.0:
@@ -65,7 +65,7 @@ def _uniform_compliance(f_Hz: float, material: Material, h: float, base: BaseKin
 
 
 def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: BaseKind) -> Complex:
-    """For pairs of a wavenumber and a frequency, both (n,)."""
+    """Return the compliance for pairs of wavenumber and frequency, all (n,)."""
     unique, back = np.unique(f_Hz, return_inverse=True)
     omega = 2.0 * math.pi * f_Hz
     shear = np.array([complex_shear(material, float(f)) for f in unique])[back]
@@ -96,7 +96,7 @@ def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: 
         return [p_wave, difference]
 
     def rows(z: float) -> dict[str, Complex]:
-        """Return the displacement and traction at depth z by the four waves, shape (n, 4)."""
+        """Return the displacements and tractions of the four waves at depth z, shapes (n, 4)."""
         columns = []
         for sign, depth in ((1.0, z), (-1.0, h - z)):
             for w in waves(depth):
@@ -131,14 +131,14 @@ def centre_response(
     base: BaseKind = "bonded",
     settled: float = 1e-9,
 ) -> Complex:
-    """Displacement into the layer at distance `at` from the axis of a Gaussian spot of 1 Pa peak pressure [m/Pa].
+    """Return the displacement into the layer at distances from the axis of a Gaussian spot per peak pressure [m/Pa].
 
-    thickness: layer depth [m]. fwhm_m: full width of the pressure spot at half its peak [m].
-    radius_m: None for a layer without sides (Hankel integral), or the radius of a disc with roller sides: no radial
+    thickness: layer depth [m]. fwhm_m: full width at half maximum of the spot [m].
+    radius_m: None for a layer without sides (Hankel integral), or radius of a disc with roller sides: no radial
         motion, no shear traction (Fourier-Bessel series over the zeros of J1(kR)).
     at: distances from the axis [m], any shape. settled: relative change at which the refinement of the integral ends.
-    Returns complex128 of `at`'s shape, under e^{-i w t}.
-    Raises SceneError as layer_compliance, for fwhm_m <= 0, and where the sum does not converge.
+    Returns complex128 in the shape of `at`, under e^{-i w t}.
+    Raises SceneError as layer_compliance, for fwhm_m <= 0, and if the sum does not converge.
     """
     if not fwhm_m > 0.0:
         raise SceneError(f"spot width is {fwhm_m} m; give a number above 0")
@@ -162,7 +162,7 @@ def centre_responses(
 def _hankel(
     f_Hz: Float, material: Material, h: float, spread: float, r: Float, base: BaseKind, settled: float
 ) -> Complex:
-    """Return u(r) = integral of C(k) s^2 exp(-k^2 s^2 / 2) J0(k r) k dk, by Gauss panels, doubled until they agree."""
+    """Return u(r) = integral of C(k) s^2 exp(-k^2 s^2 / 2) J0(k r) k dk; Gauss panels double until results agree."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     end = 9.0 / spread
     response = np.zeros((len(f_Hz), len(r)), dtype=complex)

@@ -11,16 +11,16 @@ STEP_DEG = 0.1
 def mach_half_angle(
     normal_velocity: Float, x: Float, y: Float, skip_m: float, *, between_deg: tuple[float, float] = (20.0, 89.0)
 ) -> float:
-    """Return the angle [deg] between the wave fronts and the path of a focus that runs along +x on y = 0.
+    """Return the angle [deg] between the wave fronts and the path of a focus that moves along +x on y = 0.
 
-    normal_velocity: snapshot at x (m,) and y (n,) [m], shape (m, n), both rising.
+    normal_velocity: snapshot at x (m,) and y (n,) [m], both ascending, shape (m, n).
     skip_m: half width of the strip that is left out, with the load and its wake; use 1.5 spot widths.
 
-    A slant stack (discrete Radon transform): for a trial angle b and each s, take the mean over |y| of the snapshot
-    along the lines x + |y| / tan b = s. The result is the b with the largest sum of squares over s, by a parabola
-    through the three best values. Straight fronts of that slope add up there; round fronts do not. The sum is over x,
-    because a sum over the distance between the lines would favour steep lines.
-    Raises SceneError for shapes that do not fit and where skip_m leaves less than three rows on a side.
+    The method is a slant stack (discrete Radon transform). For a trial angle b and each s, the snapshot is averaged
+    over |y| along the lines x + |y| / tan b = s. The result is the b with the largest sum of squares over s, by a
+    parabola through the three best values. Straight fronts of this slope add up; round fronts do not. The sum is over
+    x, because a sum over the distance between the lines would favour steep lines.
+    Raises SceneError for shapes that do not fit, and if skip_m leaves less than three rows on a side.
     """
     values = np.asarray(normal_velocity, dtype=float)
     if values.shape != (len(x), len(y)) or not np.isfinite(values).all():
@@ -36,7 +36,7 @@ def mach_half_angle(
 
 
 def _stacked(values: Float, x: Float, y: Float, rows: np.ndarray, angle: float) -> float:
-    """Sum over s of the squared mean along the lines of one slope; points off the snapshot have velocity 0."""
+    """Return the sum over s of the squared mean along the lines of one slope; velocity is 0 outside the snapshot."""
     total = np.zeros(len(x))
     for row in rows:
         total += np.interp(x - abs(y[row]) / np.tan(angle), x, values[:, row], left=0.0, right=0.0)

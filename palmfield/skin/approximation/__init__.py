@@ -1,4 +1,4 @@
-"""Approximations by omitting or coarsening parts of a problem, and their error."""
+"""Approximations that omit or coarsen parts of a problem, and their errors."""
 
 import lazy_loader
 

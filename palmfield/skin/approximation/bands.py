@@ -10,24 +10,23 @@ from palmfield.skin.problem import Load, Spot, between, spread
 from palmfield.types import Float
 
 COUNT = 14
-"""Bands above the lowest, evenly spaced in the logarithm."""
+"""Number of bands above the lowest band, evenly spaced in log frequency."""
 
 NEAR = np.linspace(0.85, 1.3, 10)
-"""Edges of bands about a resonance, over its frequency: damping moves it up."""
+"""Edges of bands near a resonance, over its frequency; they are asymmetric because damping raises the frequency."""
 
 HIGHEST_Hz = 4000.0
 """Frequency above which skin hardly moves [Hz]."""
 
 SAMPLES = 1 << 15
-"""Samples of the course between its beginning and its end, at most."""
+"""Largest number of samples of the time course."""
 
 
 def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
-    """Frequency [Hz] and energy of the course of the load from rest to end_s by band, both (b,), bands without any
-    left out.
+    """Return frequency [Hz] and energy of the course of a load up to end_s by band, both (b,), without empty bands.
 
-    The course of a spot is its pressure at the middle of its path; the course of a traction is that of its largest
-    point. It begins at rest and is released at the end, so that jumps count. Near resonance_Hz the bands are finer.
+    The course of a spot is its pressure at the middle of its path; the course of a traction is that of its strongest
+    point. It is 0 before and after this time, so that jumps count. Near resonance_Hz the bands are narrower.
     """
     start = float(load.times_s[0])
     length = max(end_s - start, 1e-6)
@@ -36,7 +35,7 @@ def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
     times: Float = start + step * np.arange(count, dtype=np.float64)
     course = course_at(load, times)
     energy = np.abs(np.fft.rfft(np.concatenate([np.zeros(count), course]))) ** 2
-    # Each rate except the first also represents its negative
+    # Each frequency except the first also represents its negative
     energy[1:] *= 2.0
     rates = np.fft.rfftfreq(2 * count, step)
     low = 1.0 / length
@@ -49,18 +48,18 @@ def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
         if total > 0.0:
             result.append((float(rates[inside] @ energy[inside]) / total, total))
     frequencies, energies = np.array(result).reshape(-1, 2).T
-    # The lowest band contains the response to a steady load, which lasts to the end of the window
+    # The lowest band contains a steady load, so its frequency is 0
     return np.where(frequencies < low, 0.0, frequencies), energies
 
 
 def course_moves(load: Load, end_s: float) -> bool:
-    """Return whether the pressure that `bands` evaluates is above 0 at some time up to end_s."""
+    """Return whether the pressure of `bands` is not 0 at some time up to end_s."""
     times = np.linspace(float(load.times_s[0]), max(end_s, float(load.times_s[0]) + 1e-6), 257)
     return bool(np.any(course_at(load, np.asarray(times, dtype=np.float64)) != 0.0))
 
 
 def resonance(material: Material, depth_m: float) -> float:
-    """Return the lowest frequency at which a bonded layer guides waves, c_s / 4h [Hz], c_s taken there."""
+    """Return the lowest frequency at which a bonded layer guides waves [Hz]: c_s / 4h, with c_s at this frequency."""
     frequency = 200.0
     for _ in range(20):
         frequency = shear_wave(material, frequency)[0] / (4.0 * depth_m)
@@ -68,9 +67,7 @@ def resonance(material: Material, depth_m: float) -> float:
 
 
 def course_at(load: Load, times: Float) -> Float:
-    """Pressure [Pa] over times at the middle of the path of a spot, or at the strongest point of a traction, shape
-    (t,).
-    """
+    """Return the pressure [Pa] at times, (t,), at the middle of the path of a spot or the strongest traction point."""
     if not isinstance(load, Spot):
         strongest = int(np.argmax(np.abs(load.pressure_Pa).max(axis=0)))
         return between(load, load.pressure_Pa[:, strongest], times)

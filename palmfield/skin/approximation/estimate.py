@@ -1,9 +1,9 @@
 """Sizes of mesh, patch and step for a target accuracy, and the error from two meshes.
 
-The rules were fitted to the 120 x 20 mm Ecoflex disc with a spot of 10.3 mm and its exact series (static / 200 Hz error
-of the displacement of the centre; shear wavelength 18.7 mm; edges grow 2.5 times from the spot to the rim):
+The rules were fitted to the 120 x 20 mm Ecoflex disc with a spot of 10.3 mm. The table has the error of the centre
+displacement against the exact series. Shear wavelength: 18.7 mm; edges at the rim: 2.5 times those at the spot.
 
-| edge / spot width | layers | static | 200 Hz |
+| edge / spot width | rows | static | 200 Hz |
 |---|---|---|---|
 | 0.78 | 1 | 5.0 % | 24.6 % |
 | 1.07 | 2 | 4.4 % | 12.8 % |
@@ -12,11 +12,11 @@ of the displacement of the centre; shear wavelength 18.7 mm; edges grow 2.5 time
 | 0.44 | 4 | 0.36 % | 0.20 % |
 | 0.29 | 4 | 0.23 % | 0.15 % |
 
-A step of 20, 40, 80 to a period errs by 0.99, 0.25, 0.063 %, that is 0.1 (w h)^2. Roller sides at 40, 50, 60 mm change
-the 200 Hz response of the endless disc by 2.3, 0.3, 0.2 %; there the shear wave falls to 1/e in l = 19.8 mm. Those of
-a 12 mm layer of the palm preset (l = 43 mm) at 40, 60, 80 mm change it by 15, 4.8, 2.0 %: about exp(-2 R / l). Slower
-waves decay over longer paths: at 70 Hz on the 20 mm disc a side at 60 mm still changes the response by 14 %. A layer
-much thinner or thicker than the spot is outside this calibration: compare two meshes there.
+With 20, 40, 80 steps per period the error is 0.99, 0.25, 0.063 %, that is 0.1 (w h)^2. Roller sides at R = 40, 50,
+60 mm change the 200 Hz response of the infinite disc by 2.3, 0.3, 0.2 %; its shear wave falls to 1/e in l = 19.8 mm.
+For a 12 mm layer of the palm preset (l = 43 mm), R = 40, 60, 80 mm: 15, 4.8, 2.0 %, about exp(-2 R / l). Slower waves
+decay over longer paths: at 70 Hz on the 20 mm disc, a side at 60 mm still changes the response by 14 %. This
+calibration is not valid for a layer much thinner or thicker than the spot: compare two meshes there.
 """
 
 import math
@@ -27,7 +27,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material, shear_wave
 from palmfield.types import Complex, Float
 
-# Measured on the disc between the meshes of the table; the rate of the element on smooth loads is higher.
+# Measured on the disc between the meshes of the table; for smooth loads the order of the element is higher.
 ORDER = 2.0
 GROWTH = 1.6
 
@@ -35,11 +35,11 @@ GROWTH = 1.6
 def choose_sizes(
     material: Material, fwhm_m: float, max_frequency_Hz: float, accuracy: float
 ) -> tuple[float, float, float, Float, float, float]:
-    """Return the sizes for a relative error of about `accuracy` of the displacement under a spot.
+    """Return the sizes for a relative error of the displacement under a spot of about `accuracy`.
 
-    fwhm_m: full width of the pressure spot at half its peak [m]. max_frequency_Hz: highest frequency of the load [Hz].
+    fwhm_m: full width at half maximum of the spot [m]. max_frequency_Hz: highest frequency of the load [Hz].
     accuracy: target relative error, 0.001 to 0.5.
-    Returns (fine_m, coarse_m, fine_radius_m, fractions, step_s, patch_radius_m): edge length under the spot [m] and at
+    Returns (fine_m, coarse_m, fine_radius_m, fractions, step_s, patch_radius_m): edge length under the spot and at
     the rim [m], radius of the fine part [m], depth fractions (L+1,), time step [s], radius of the patch [m].
     Raises SceneError for values outside these ranges.
     """
@@ -56,7 +56,7 @@ def choose_sizes(
         share, layers = 0.58, 3
     else:
         share, layers = 0.44 * math.sqrt(accuracy / 0.01), 4
-    # The coarsest accurate mesh has edges of 0.43 wavelengths under the spot and 1.07 at the rim, where waves are weak.
+    # The coarsest accurate mesh has edges of 0.43 wavelengths under the spot, 1.07 at the rim, where waves are weak.
     fine = min(share * fwhm_m, 0.43 * wavelength)
     coarse = max(fine, min(2.5 * fine, wavelength))
     edges = np.concatenate([[0.0], np.cumsum(GROWTH ** np.arange(layers))])
@@ -67,7 +67,7 @@ def choose_sizes(
 
 
 def largest_change(answers: Complex | Float, reference: Complex | Float) -> float:
-    """Largest relative difference of some results from those of another mesh, shape (n,). Raises SceneError for a 0."""
+    """Return the largest relative difference from results of another mesh, both (n,). Raises SceneError for a 0."""
     size = np.abs(reference)
     if not np.all(size > 0.0):
         raise SceneError(f"reference values are {reference}; a relative error needs values other than 0")

@@ -1,4 +1,4 @@
-"""Width, place and rate of change of a load, by which meshes and steps are chosen."""
+"""Width, place and frequency of a load, for the choice of meshes and steps."""
 
 import math
 
@@ -10,21 +10,21 @@ from palmfield.skin.problem import GAUSSIAN, Body, Layer, Load, Spot, depth_of
 from palmfield.types import Float
 
 SAMPLES = 1 << 14
-"""Number of even samples of the course of a load in time."""
+"""Number of evenly spaced samples of the time course of a load."""
 MARGIN_S = 0.1
-"""Least time before and after a load that counts as part of its course [s]."""
+"""Least time before and after a load that is part of its course [s]."""
 MOST = 0.95
 """Share of the power of a load over time below the frequency that a step must resolve."""
 AT_SIDES = 1e-4
-"""Pressure at the sides of a body over the peak of the load, above which the sides affect the motion as well."""
+"""Pressure at the sides of a body, over the peak of the load, above which the sides affect the motion."""
 ACROSS = 6.0
-"""Least number of resolved lengths from the middle to the sides in this case."""
+"""Least number of resolved lengths from the middle to the sides if the sides affect the motion."""
 
 
 def load_width(load: Load) -> float:
     """Return the full width at half maximum [m] of the pressure of a load.
 
-    For given pressures it is the width of the Gaussian with the same (int p)^2 / int p^2, the smallest over the times.
+    For a traction it is the width of the Gaussian with the same (int p)^2 / int p^2, the smallest over the times.
     Raises SceneError if there is no pressure.
     """
     if isinstance(load, Spot):
@@ -39,7 +39,7 @@ def load_width(load: Load) -> float:
 
 
 def distance_to_sides(body: Body, places: Float) -> Float:
-    """Distance of places (n, 2) to the nearest side of a body [m], (n,); below 0 off a slab, infinite without sides."""
+    """Return distances [m], (n,), of places (n, 2) from the nearest side: negative off a slab, inf without sides."""
     if isinstance(body, Layer):
         rim = body.patch.vertices[body.patch.rim, :2]
         return cKDTree(rim).query(places)[0] if len(rim) else np.full(len(places), np.inf)
@@ -51,9 +51,7 @@ def distance_to_sides(body: Body, places: Float) -> Float:
 
 
 def pressure_at_sides(body: Body, load: Load) -> float:
-    """Return the largest pressure on the sides of a body over the peak of the load, 0 to 1; for given points, only
-    points at the sides are used.
-    """
+    """Return the largest pressure at the sides of a body over the peak of the load, 0 to 1."""
     if isinstance(load, Spot):
         room = np.maximum(distance_to_sides(body, load.centres()), 0.0)
         strength = np.abs(load.peak_Pa) * np.exp(-GAUSSIAN * (room / load.fwhm_m) ** 2)
@@ -66,9 +64,9 @@ def pressure_at_sides(body: Body, load: Load) -> float:
 
 
 def edge_is_felt(body: Body, load: Load, points: Float) -> bool:
-    """Whether a fixed edge matters: load or requested points (n, 3) are near sides where a fixed and a free face meet.
+    """Return whether load or requested points (n, 3) are near an edge where a fixed side meets the free face.
 
-    Stresses are singular at such an edge, so that smooth elements converge at first order there.
+    Stresses are singular at such an edge, so smooth elements converge only at first order there.
     """
     held_side, held_base = body.side == "fixed", body.base not in ("free", "free_slip")
     if not (held_side or (body.side == "free" and held_base)):
@@ -79,9 +77,10 @@ def edge_is_felt(body: Body, load: Load, points: Float) -> bool:
 
 
 def motion_width(body: Body, load: Load) -> float:
-    """Return the length [m] along the face that elements must resolve. It is the width of the load. If pressure reaches
-    the sides, it is at most the depth, over which the effect of the sides decays, and at most the distance from the
-    middle to the sides. It is never less than a certain part of the body."""
+    """Return the length [m] along the face that elements must resolve: the width of the load.
+
+    If pressure reaches the sides, it is at most the depth, over which the effect of the sides decays, and at most a
+    part of the distance from the middle to the sides. It has a lower limit relative to the body."""
     width = load_width(load)
     if pressure_at_sides(body, load) < AT_SIDES:
         return width
@@ -93,7 +92,7 @@ def motion_width(body: Body, load: Load) -> float:
 
 
 def load_centre(load: Load) -> tuple[Float, float]:
-    """Return the middle (2,) of where a load acts and the distance from it to the farthest place of its centre [m]."""
+    """Return the middle (2,) of the places of a load, and its distance from the farthest centre of the load [m]."""
     if isinstance(load, Spot):
         centres = load.centres()
     else:
@@ -105,10 +104,10 @@ def load_centre(load: Load) -> tuple[Float, float]:
 
 
 def course_frequency(load: Load, share: float = MOST) -> float:
-    """Frequency below which a share of the power of a load over time, about its mean, lies [Hz]; 0 for few times.
+    """Return the frequency [Hz] below which `share` of the power of a load (about its mean) lies; 0 for few times.
 
-    The course is the peak of a spot or the total force of pressures, piecewise linear, 0 before the first time and
-    steady after the last. The window adds the duration of the load, at least MARGIN_S, before and after it.
+    The time course is the peak of a spot, or the total force of a traction. It is piecewise linear, 0 before the first
+    time and constant after the last. The window includes the duration of the load, at least MARGIN_S, before and after.
     """
     times = np.asarray(load.times_s, dtype=float)
     if len(times) < 3:
@@ -125,7 +124,7 @@ def course_frequency(load: Load, share: float = MOST) -> float:
 
 
 def mean_frequency(load: Load) -> float:
-    """Mean frequency of the load [Hz], its constant part included: rms rate over 2 pi rms; 0 for few times."""
+    """Return the mean frequency of a load with its constant part [Hz], rms rate over 2 pi rms; 0 for few times."""
     times = np.asarray(load.times_s, dtype=float)
     if len(times) < 3:
         return 0.0
@@ -138,8 +137,8 @@ def mean_frequency(load: Load) -> float:
 
 
 def passing_frequency(load: Load, width_m: float) -> float:
-    """Return v / (2 width) of a spot that moves at up to v [Hz]; at this frequency the spectrum of a passing Gaussian
-    has fallen to a third. 0 for a spot at rest."""
+    """Return v / (2 width) [Hz] for a spot with largest speed v; 0 for a spot at rest. At this frequency the spectrum
+    of a passing Gaussian is a third of its maximum."""
     if not isinstance(load, Spot) or len(load.times_s) < 2:
         return 0.0
     speeds = np.linalg.norm(np.diff(load.centres(), axis=0), axis=1) / np.diff(load.times_s)
@@ -149,8 +148,8 @@ def passing_frequency(load: Load, width_m: float) -> float:
 def load_frequency(load: Load, speed_m_s: float, width_m: float) -> float:
     """Return the highest frequency that a step must resolve [Hz].
 
-    It is the largest of three frequencies: c_s / (pi width), at which the skin rings after the end of a spot;
-    passing_frequency; and course_frequency if the load is linear between more than three times.
+    It is the largest of three: c_s / (pi width), at which the skin oscillates after the end of a spot;
+    passing_frequency; and, if the load is linear between more than three times, course_frequency.
     """
     course = course_frequency(load) if len(load.times_s) > 3 and load.law == "linear" else 0.0
     return max(speed_m_s / (math.pi * width_m), passing_frequency(load, width_m), course)

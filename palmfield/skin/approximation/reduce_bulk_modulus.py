@@ -1,4 +1,4 @@
-"""Reduce the bulk modulus where this changes little, because the pressure wave limits explicit steps."""
+"""Reduce the bulk modulus if this changes the motion little, because the pressure wave limits explicit steps."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,30 +15,29 @@ from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float
 
 RATIOS = (0.49, 0.495, 0.497, 0.499)
-"""Instantaneous Poisson's ratios that are tried, the one with the largest step first."""
+"""Trial values of the instantaneous Poisson's ratio, from the largest to the smallest step."""
 
 SHARE = 0.5
-"""Largest part of the target accuracy for the error of an automatically chosen bulk modulus."""
+"""Largest share of the target accuracy for the error of an automatically chosen bulk modulus."""
 
 FAR = 1e-3
-"""Share of the motion in the middle; smaller motions are related to it."""
+"""Share of the motion in the middle that is the least reference for relative changes."""
 
 FAINT = 1e-5
-"""Share of the energy of the load below which a band is ignored here."""
+"""Share of the energy of the load below which a band is ignored."""
 
 
 def reduce_bulk_modulus(
     body: Body, load: Load, end_s: float, at: Float, accuracy: float, nu_at_most: float | None
 ) -> tuple[Body, float]:
-    """Return the body with an instantaneous Poisson's ratio of at most nu_at_most, and the relative change of its
-    motion.
+    """Return the body with a limited instantaneous Poisson's ratio, and the relative change of its motion.
 
     end_s: last requested time [s]. at: requested points [m], shape (n, 2) or (n, 3).
-    nu_at_most: None takes the smallest of RATIOS that changes at most SHARE of the accuracy. That applies to layers and
-    endless slabs of one sheet, without other confinement of the volume; others, and all at 0.5, are returned unchanged.
-    The change is that of the flat endless layer (palmfield.skin.analytic.layer_oracle), with the frequencies of the
-    load. Raises SceneError for a change above the accuracy. If nu_at_most is given, raises SceneError for more than
-    one sheet, springs or a foundation, which that layer does not include.
+    nu_at_most: limit; 0.5 changes nothing. None: the smallest of RATIOS with a change of at most SHARE of the accuracy,
+        for layers and infinite slabs of one sheet; other bodies are unchanged.
+    The change is that of a flat infinite layer (palmfield.skin.analytic.layer_oracle) at the frequencies of the load.
+    Raises SceneError for a given nu_at_most if the change is above the accuracy, or for several sheets, springs or a
+    foundation, because the flat layer does not include them.
     """
     plain = len(body.sheets) == 1 and body.base in BASES
     if nu_at_most == 0.5:
@@ -70,7 +69,7 @@ def reduce_bulk_modulus(
 
 
 def _tried(body: Body, change_of: Callable[[Material], float], nu: float) -> tuple[Body, float]:
-    """Return the body with at most that Poisson's ratio, and what it changes."""
+    """Return the body with a Poisson's ratio of at most nu, and the relative change of its motion."""
     sheet = body.sheets[0]
     most = bulk_from_poisson(nu, sheet.material.shear_instant_Pa)
     if sheet.material.bulk_Pa <= most:
@@ -80,9 +79,9 @@ def _tried(body: Body, change_of: Callable[[Material], float], nu: float) -> tup
 
 
 def relative_change(body: Body, load: Load, end_s: float, at: Float) -> Callable[[Material], float]:
-    """Estimate the relative change of the motion with another material.
+    """Return a function that estimates the relative change of the motion with another material.
 
-    L2 over the times, the largest of the middle of the spot and the places of the points around it.
+    The change is L2 over the times, at the worst of the middle of the spot and the requested points.
     """
     material, width = body.sheets[0].material, load_width(load)
     depth = float(np.mean(body.patch.depth)) if isinstance(body, Layer) else body.thickness_m
@@ -100,7 +99,7 @@ def relative_change(body: Body, load: Load, end_s: float, at: Float) -> Callable
     def change(soft: Material) -> float:
         near = centre_responses(frequencies[counted], soft, depth, width, away, base, 1e-5)
         difference, size = (energies[counted] @ np.abs(values) ** 2 for values in (near - exact, exact))
-        # At large distances only the numerical error of the integral remains
+        # At large distances only the numerical error of the integral is left
         return float(np.sqrt(difference / np.maximum(size, FAR**2 * size[0])).max())
 
     return change

@@ -1,6 +1,6 @@
-"""Resolution that a solution by wedges needs, and its error against the converged one, from coarser runs.
+"""Resolution for a solution by wedges, and its error against the converged solution, from coarser runs.
 
-Errors fall by a power of the size of steps and elements, so that two runs show the remaining error (Richardson).
+Errors are proportional to a power of the size of steps and elements, so two runs give the error (Richardson).
 """
 
 import math
@@ -16,35 +16,35 @@ from palmfield.skin.problem import Body, Layer, Slab, depth_of
 from palmfield.types import Float
 
 RATIO = 4.0 / 3.0
-"""Element sizes of the coarser over those of the finer mesh; for a layer, whose triangles are quartered, it is 2."""
+"""Element size of the coarser mesh over that of the finer mesh; for a layer, whose triangles are quartered, it is 2."""
 MESH_ORDER = 1.5
-"""Between such meshes the errors of a disc in the middle of a spot fall with an order of 2.5 to 4. The order is less
-under spots that reach the sides, and with few triangles under them in nearly incompressible sheets: of 19 round cases
-of a coverage run order 2 gave too small an error in 4, by up to half of it."""
+"""Assumed order of convergence. In the middle of a spot on a disc the order is 2.5 to 4. It is less under spots that
+reach the sides, and with few triangles under them in nearly incompressible sheets: with order 2, the estimate was too
+small in 4 of 19 round cases of a coverage run, by up to half of the error."""
 FINEST_RATIO = 2.0
 """Largest ratio of the element sizes of one mesh and the next finer one."""
 LEAST_MORE = 1.1
 """Least ratio of the edges of two meshes for which Richardson's rule is used."""
 ALIKE = 1.3
-"""Triangles of the finer mesh over those of the coarser, below which their difference does not measure the error: with
-43 and 41 on a small disc it gave a fifth of the error."""
+"""Least ratio of the numbers of triangles of two meshes whose difference measures the error. With 43 and 41 triangles
+on a small disc, the difference gave a fifth of the error."""
 SHRINK = 0.7
-"""Extent of the smaller of two endless slabs."""
+"""Extent of the smaller of two domains of an infinite slab, over that of the larger."""
 WIDER = 2.0
-"""Safety factor: the difference between the two domain sizes divided by the true error of the larger one. Measured 3 to
-5 (palm preset, 12 mm, at 200 Hz, under a spot and 20 mm away, once the meshes agree); we use 2."""
+"""Difference between the two domains over the error of the larger. Measured values are 3 to 5 (palm preset, 12 mm, at
+200 Hz, under a spot and 20 mm away, on fine meshes); 2 is used for safety."""
 BELT = 1.0
-"""Error of absorbing sides over the difference from a layer without the belt along them, see trim_absorbing_rim."""
+"""Error of absorbing sides over the difference from a layer without a belt along its rim, see trim_absorbing_rim."""
 UNKNOWN = 1.0
-"""Value of an unknown error: absorbing sides so near that no belt can be removed, or two identical meshes."""
+"""Value of an unknown error: absorbing sides without room to remove a belt, or two identical meshes."""
 MOST_DOFS = 400_000
-"""Above this the factors of the matrix take more than 10 GB."""
+"""Largest number of unknowns; above it the factors of the matrix take more than 10 GB."""
 ROUNDS = 3
 
 
 @dataclass(frozen=True)
 class Discretisation:
-    """Sizes of the mesh, step [s], and spectral radius at infinite frequency."""
+    """Sizes of the mesh, time step [s], and spectral radius at infinite frequency."""
 
     sizes: Sizes
     step_s: float
@@ -53,7 +53,7 @@ class Discretisation:
 
 @dataclass(frozen=True)
 class MeshSolution:
-    """Displacement [m] and velocity [m/s] at the requested times and points, (t, n, 3), and the numbers of the mesh.
+    """Displacement [m] and velocity [m/s] at the requested times and points, (t, n, 3), and sizes of the mesh.
 
     normals: normals of the face at the points, (n, 3)
     """
@@ -68,9 +68,9 @@ class MeshSolution:
 
 @dataclass(frozen=True)
 class ConvergedSolution:
-    """The finest solution, its sizes, and its errors estimated with other meshes, rows in depth and extents, (3,) each.
+    """The finest solution, its sizes, and its errors due to meshes, rows in depth and extent, (3,) each.
 
-    judged: index in QUANTITIES of the quantity that was refined for
+    judged: index in QUANTITIES of the quantity whose error had to reach the target
     """
 
     fine: MeshSolution
@@ -106,11 +106,11 @@ def refine_until_converged(
     judged: int = 0,
     taken: float = 0.0,
 ) -> ConvergedSolution:
-    """Widen absorbing bodies, add rows in depth, refine, each at most ROUNDS times, until the errors fit the accuracy.
+    """Widen absorbing bodies, add rows in depth and refine, each at most ROUNDS times, until the errors are small.
 
-    coarse: the solution of `now`, one mesh coarser; pinned: neither widen nor refine, only estimate the errors
-    taken: part of the accuracy for errors that are not estimated here
-    judged: index in QUANTITIES of the quantity whose error must fit
+    coarse: solution on a mesh one step coarser than `now`; pinned: only estimate the errors, without changes
+    taken: share of the accuracy for errors that are not estimated here
+    judged: index in QUANTITIES of the quantity whose error must reach the accuracy
     """
     reach_error = np.zeros(3)
     if isinstance(body, Slab) and (body.shape == "infinite" or body.side == "absorbing"):
@@ -123,13 +123,13 @@ def refine_until_converged(
             reach_error, coarse = difference(wider, coarse) / WIDER, wider
     elif isinstance(body, Layer) and body.side == "absorbing":
         smaller = run(now, ratio_of(body, now.sizes), SHRINK)
-        # The triangles are equal, so no outer ring was removed.
+        # Equal numbers of triangles: no outer ring was removed
         taken = smaller.triangles < coarse.triangles
         reach_error = BELT * difference(coarse, smaller) if taken else np.full(3, UNKNOWN)
     now, coarse, rows_error = refine_in_depth(body, now, run, coarse, accuracy, pinned, judged)
     fine = run(now)
     for _ in range(ROUNDS):
-        # Small bodies have equal or nearly equal meshes of few elements for many sizes
+        # Small bodies have equal or nearly equal meshes for many sizes
         if pinned or fine.triangles >= ALIKE * coarse.triangles:
             break
         now = replace(now, sizes=resized(now.sizes, 1.0 / ratio_of(body, now.sizes), 1.0))
@@ -138,7 +138,7 @@ def refine_until_converged(
     left = max(accuracy - taken - float(rows_error[judged] + reach_error[judged]), 0.2 * accuracy)
     for _ in range(ROUNDS):
         room = min(FINEST_RATIO, (MOST_DOFS / fine.dofs) ** (1.0 / 3.0))
-        # Rounded, so that the mesh does not depend on the unit of the load
+        # Rounded, so that rounding errors of the load do not change the mesh
         ratio = max(
             ratio_of(body, now.sizes), round(min((float(mesh_error[judged]) / (0.8 * left)) ** (1.0 / 3.0), room), 2)
         )
@@ -153,11 +153,11 @@ def refine_until_converged(
 def refine_in_depth(
     body: Body, now: Discretisation, run: Run, coarse: MeshSolution, accuracy: float, pinned: bool, judged: int = 0
 ) -> tuple[Discretisation, MeshSolution, Float]:
-    """Add rows in depth until their error fits; return the discretisation, its coarse solution and the errors, (3,).
+    """Add rows in depth until their error is small enough; return discretisation, coarse solution and errors, (3,).
 
-    On thin layers both meshes use the minimum number of element rows, so comparing them does not measure the
-    through-thickness error. This function adds rows until it does. If the finer mesh already has more rows than the
-    coarser one, the error here is 0.
+    On thin layers both meshes have the minimum number of rows, so their difference does not include the error in
+    depth. This function then measures this error with more rows. If the finer mesh already has more rows than the
+    coarser mesh, the returned errors are 0.
     """
     error = np.zeros(3)
     for _ in range(ROUNDS):
@@ -166,7 +166,7 @@ def refine_in_depth(
         ratio = ratio_of(body, now.sizes)
         row, deepest = 0.5 * min(now.sizes.row_m, 0.5 * depth_of(body) / ratio), 0.7 * now.sizes.deepest_row_m
         thin = replace(now, sizes=replace(now.sizes, row_m=row, deepest_row_m=deepest))
-        # A body of many sheets already has a row for each sheet
+        # A body of many sheets needs more change for another row, because each sheet has at least one
         while rows_below(body, thin.sizes.scaled(ratio)) <= coarse.rows:
             row, deepest = 0.5 * row, 0.5 * deepest
             thin = replace(now, sizes=replace(now.sizes, row_m=row, deepest_row_m=deepest))
@@ -181,8 +181,7 @@ def refine_in_depth(
 
 
 def error_by_meshes(coarse: MeshSolution, fine: MeshSolution) -> Float:
-    """Return the errors of the finer of two meshes from their difference, at MESH_ORDER and with their actual edges,
-    (3,).
+    """Return the errors of the finer of two meshes, (3,), from their difference, MESH_ORDER and their actual edges.
 
     They are UNKNOWN if both meshes have the same triangles.
     """
@@ -193,7 +192,7 @@ def error_by_meshes(coarse: MeshSolution, fine: MeshSolution) -> Float:
 
 
 def difference(solution: MeshSolution, other: MeshSolution) -> Float:
-    """Relative differences of the QUANTITIES, (3,), L2 over times, the largest of the points that move at all."""
+    """Return the relative differences of the QUANTITIES, (3,), L2 over times, the largest over the moving points."""
     one, reference = ((x.displacement, x.velocity) for x in (other, solution))
     return differences(one, reference, solution.normals)
 

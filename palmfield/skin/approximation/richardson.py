@@ -7,35 +7,35 @@ import numpy as np
 from palmfield.types import Float
 
 FAINT = 1e-3
-"""Part of the largest motion to which errors of points that move less are related at a single time."""
+"""Share of the largest motion that is the least reference for the errors of a point at a single time."""
 STILL = 1e-9
-"""Part of the largest motion of any point below which a point counts as still."""
+"""Share of the largest motion below which a point counts as not moving."""
 
 
 def error_of_finer(difference: Any, ratio: float, order: Any) -> Any:
-    """Return the error of the finer of two solutions whose error falls by `order` in the size of elements or steps.
+    """Return the error of the finer of two solutions with an error proportional to size**order of elements or steps.
 
-    ratio: size of elements or steps of the coarser over that of the finer, > 1
+    ratio: size of elements or steps of the coarser solution over that of the finer, > 1
     """
     return difference / (ratio**order - 1.0)
 
 
 def error_of_coarser(difference: Any, ratio: float, order: Any) -> Any:
-    """Return the error of the coarser solution; arguments as of `error_of_finer`."""
+    """Return the error of the coarser solution; arguments as for `error_of_finer`."""
     return difference / (1.0 - ratio**-order)
 
 
 def relative_difference(solution: Float, reference: Float) -> float:
-    """Difference of displacements (t, n, 3), L2 over times, over the reference's; the largest of the moving points."""
+    """Return the relative difference of displacements, (t, n, 3), L2 over times, at the worst moving point."""
     size, difference = (np.linalg.norm(values, axis=(0, 2)) for values in (reference, reference - solution))
     return largest_share(difference, size)
 
 
 def differences(solution: tuple[Float, Float], reference: tuple[Float, Float], normals: Float) -> Float:
-    """Return the relative differences of displacement, velocity and normal displacement, (3,): QUANTITIES.
+    """Return the relative differences of the QUANTITIES: displacement, velocity and normal displacement, (3,).
 
-    solution, reference: displacements and velocities, (t, n, 3) each; normals: normals of the face at the points, (n,
-    3). At a single time the result is that of difference_at_rest.
+    solution, reference: displacements and velocities, (t, n, 3) each; normals: of the face at the points, (n, 3)
+    At a single time the result is that of difference_at_rest.
     """
     along = tuple(np.einsum("tnc,nc->tn", u[0], normals)[..., None] for u in (solution, reference))
     measure = difference_at_rest if len(reference[0]) == 1 else relative_difference
@@ -44,10 +44,10 @@ def differences(solution: tuple[Float, Float], reference: tuple[Float, Float], n
 
 
 def difference_at_rest(solution: Float, reference: Float) -> float:
-    """As relative_difference at a single time, (1, n, 3); points that move little are related to FAINT of the largest.
+    """Return relative_difference at a single time, (1, n, 3), where FAINT of the largest motion is the least reference.
 
-    Two solutions may agree at a point by chance, so the result is at least half of the largest difference of all points
-    over their largest motion.
+    Two solutions may agree at a point by chance. So the result is at least half of the largest difference over the
+    largest motion, each over all points.
     """
     size, difference = (np.linalg.norm(values, axis=(0, 2)) for values in (reference, reference - solution))
     most = float(size.max(initial=0.0))
@@ -59,6 +59,6 @@ def difference_at_rest(solution: Float, reference: Float) -> float:
 
 
 def largest_share(difference: Float, size: Float) -> float:
-    """Return the largest of difference / size over the points (n,) that move at all; 0 where none does."""
+    """Return the largest difference / size over the moving points, all (n,); 0 if no point moves."""
     moving = size > STILL * size.max(initial=0.0)
     return float((difference[moving] / size[moving]).max(initial=0.0))

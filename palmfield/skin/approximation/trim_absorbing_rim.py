@@ -1,4 +1,4 @@
-"""A smaller part of a layer, to estimate the reflection of absorbing sides, and the direction of its face."""
+"""Smaller part of a layer, to estimate the reflection of absorbing sides, and a check of the direction of its face."""
 
 from dataclasses import replace
 
@@ -13,11 +13,11 @@ from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float
 
 FLATTEST = 0.5
-"""Least z component of the mean outward direction of a patch for a spot, which presses by distance in x and y."""
+"""Least |z component| of the mean outward direction of a patch under a spot, because a spot is defined in x and y."""
 
 
 def refusal_of_spot(body: Body, load: Load) -> str | None:
-    """Return why a spot cannot act on this layer, in a sentence, or None."""
+    """Return the reason why a spot cannot act on this layer, in a sentence, or None."""
     if not isinstance(body, Layer) or not isinstance(load, Spot):
         return None
     if not body.patch.rim.any() or abs(outward(body.patch)[2]) < FLATTEST:
@@ -29,10 +29,10 @@ def refusal_of_spot(body: Body, load: Load) -> str | None:
 
 
 def trim_absorbing_rim(body: Body, load: Load, points: Float, reach: float) -> Body:
-    """Return a layer without a belt along its rim; other bodies are unchanged. The width of the belt is (1 - reach) of
-    the distance from the middle of the load to the rim. It ends half way to the path of the load and the requested
-    points (n, 3) where these are nearer. A layer without room for a belt is unchanged.
-    """
+    """Return a layer without a belt along its rim; other bodies are unchanged.
+
+    The width of the belt is (1 - reach) of the distance from the middle of the load to the rim, but at most half of the
+    distance from load or requested points (n, 3) to the rim. A layer without room for a belt is unchanged."""
     if reach == 1.0 or not isinstance(body, Layer):
         return body
     patch = body.patch

@@ -1,7 +1,4 @@
-"""The part of a layer that affects a load and the requested points.
-
-A thin layer on bone hardly moves outside the spot.
-"""
+"""Restrict a layer to the part that affects the requested points; a thin layer on bone moves little outside a spot."""
 
 import math
 from dataclasses import replace
@@ -20,20 +17,19 @@ from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float, Int, Patch
 
 SHARE = 0.1
-"""Largest part of the target accuracy for the error of the cut edge."""
+"""Largest share of the target accuracy for the error of the cut edge."""
 
 FURTHEST = 20.0
 """Largest distance, in widths of the load, at which the decay is evaluated."""
 
 
 def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: float) -> tuple[Body, Load, float]:
-    """Return the part of a body around the path of the load and the points, the load on it, and the effect of
-    truncation.
+    """Return the part of a body around the load and the points, the load on it, and the relative error of truncation.
 
     end_s: last requested time [s]. at: requested points [m], shape (n, 2) or (n, 3). accuracy: target relative error.
-    A layer of one sheet bonded to bone is cut where the edge changes the motion by SHARE of the accuracy, by the flat
-    endless layer of its greatest depth (palmfield.skin.analytic.layer_oracle); see `reach`. Other bodies, layers almost
-    without loss, and those that need their whole patch are returned unchanged, with 0.
+    A layer of one sheet bonded to bone is cut where the edge changes the motion by SHARE of the accuracy. The estimate
+    uses a flat infinite layer of the greatest depth (palmfield.skin.analytic.layer_oracle); see `reach`. Other bodies,
+    layers almost without loss, and layers that need their whole patch are returned unchanged, with error 0.
     """
     if not isinstance(body, Layer) or len(body.sheets) != 1 or body.base != "bonded":
         return body, load, 0.0
@@ -52,14 +48,14 @@ def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: f
     away = cKDTree(np.concatenate([path, requested])).query(here)[0]
     inside = away <= distance
     if len(path) == 0 or cKDTree(path).query(requested)[0].max() > distance:
-        # The motion of farther points is that of waves on a straight path
+        # Waves reach farther points on a straight path
         marks = np.concatenate([path, requested])
         inside = np.all((here >= marks.min(axis=0) - distance) & (here <= marks.max(axis=0) + distance), axis=1)
     kept = inside[patch.faces].any(axis=1)
     if kept.all() or not kept.any() or face_components(patch.faces[kept]).max() > 0:
         return body, load, 0.0
     if not isinstance(load, Spot):
-        # Points without pressure at the boundary of the load are kept
+        # Points without pressure at the boundary of the load stay
         near = cKDTree(path).query(load.points[:, :2])[0] <= distance
         load = replace(
             load, points=load.points[near], weights_m2=load.weights_m2[near], pressure_Pa=load.pressure_Pa[:, near]
@@ -68,13 +64,13 @@ def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: f
 
 
 def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float, float] | None:
-    """Distance from a spot [m] at which an edge changes its motion by at most SHARE of the accuracy, and that change.
+    """Return the distance [m] at which an edge changes the motion by at most SHARE of the accuracy, and that change.
 
-    The change is computed from the motion at a distance over the motion at the centre, both as energies summed over the
-    bands of the load. An edge at this distance reflects a wave with at most this ratio, which decays by the same ratio
-    on its way back. A guided wave, above c_s / 4h, focuses in the middle of a round edge, with sqrt(2 pi k R) times its
-    amplitude at the edge. Larger distances count as well, because motion may pass through 0. None if no distance up to
-    FURTHEST widths is enough.
+    The change follows from the ratio of the motion at a distance to the motion at the centre, as energies summed over
+    the bands of the load. An edge reflects a wave with at most this ratio, and the wave decays by the same ratio on its
+    way back. A guided wave, above c_s / 4h, focuses in the middle of a round edge, with sqrt(2 pi k R) times its
+    amplitude at the edge. The largest ratio at this or a larger distance counts, because motion may pass through 0.
+    Returns None if no distance up to FURTHEST widths is enough.
     """
     material, width = body.sheets[0].material, load_width(load)
     depth = float(body.patch.depth.max())
@@ -99,7 +95,7 @@ def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float
 
 
 def part_of(patch: Patch, kept: NDArray[np.bool_]) -> Patch:
-    """Return the patch of some faces, (m,) bool; its rim has the edges that belong to only one of them."""
+    """Return the patch of the kept faces, (m,) bool; its rim consists of the edges that belong to only one face."""
     numbers, faces = np.unique(patch.faces[kept], return_inverse=True)
     corners: Int = faces.reshape(-1, 3).astype(np.int32)
     return replace(

@@ -1,19 +1,19 @@
-"""Loads with a given time course: harmonics that start and end at once or exponentially."""
+"""Loads with a given time course: harmonics that start and end suddenly or exponentially."""
 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its parts at first use
+import scipy  # loads its submodules at first use
 
 from palmfield.types import Complex, Float
 
 Fade = tuple[tuple[float, float], ...]
-"""A load starts or ends as the sum of share e^{-rate t} over (rate [1/s], share); ((0, 1),) is at once."""
+"""Start or end of a load: the sum of share e^{-rate t} over pairs (rate [1/s], share). ((0, 1),) is sudden."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """Loads F mix w with w' = S w, for each of some beginnings w_0.
+    """Loads F mix w with w' = S w, for each of e initial values w_0.
 
     shapes F [N], shape (n, m); mix: shape (m, k); rates S [1/s], shape (k, k); starts w_0, shape (k, e)
     """
@@ -25,7 +25,7 @@ class Course:
 
 
 def periodic(shapes: Complex, frequencies_Hz: Float, events: list[tuple[float, Fade]]) -> Course:
-    """Return the sum over k of Re(F_k e^{-i w_k t}) that fades in or out.
+    """Return the course of a load, the sum over k of Re(F_k e^{-i w_k t}), that fades in or out at each event.
 
     shapes: F_k [N], shape (n, k); frequencies_Hz: >= 0, shape (k,)
     events: time t [s] and fade of each event
@@ -48,7 +48,7 @@ def periodic(shapes: Complex, frequencies_Hz: Float, events: list[tuple[float, F
 
 
 def harmonics(frequencies_Hz: Float, times: Float) -> Float:
-    """Return (cos w_k t, -sin w_k t) for each k, shape (t, 2 k): the factors of the shapes in `periodic`."""
+    """Return (cos w_k t, -sin w_k t) for each k, shape (t, 2 k): factors of the shapes of `periodic`."""
     angle = 2.0 * np.pi * np.outer(times, frequencies_Hz)
     return np.stack([np.cos(angle), -np.sin(angle)], axis=2).reshape(len(angle), -1)
 

@@ -1,6 +1,6 @@
 """Reduced models of a skin on a device: all substeps of a MuJoCo step as a few launches for a captured graph.
 
-The pressure is already on the device. Input and output states equal those of the CPU stepper to rounding.
+The pressure is already on the device. States equal those of the CPU stepper to rounding.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,17 +16,17 @@ from palmfield.types import Float
 from warp_kernels import skin_steps as kernels
 
 LEAST_NUMBERS = 2**18
-"""Size of a reduced model's step matrix below which a CPU takes no longer than a launch."""
+"""Size of the step matrix of a reduced model below which a product on the CPU takes no longer than a launch."""
 MOST_NUMBERS = 2**23
-"""Size above which single substeps take less memory and no more time."""
+"""Size of the same matrix above which single substeps need less memory and no more time."""
 CHUNK = 32
 """Number of terms of a sum that one thread adds up."""
 SECTIONS = 4
-"""Number of sums of squares for the part of a load outside the class of modes."""
+"""Number of sums of squares that measure the part of a load outside the class of modes."""
 
 
 class DeviceModes:
-    """A ModalStepper, which makes it, on a device, see DeviceModel."""
+    """DeviceModel of a ModalStepper."""
 
     def __init__(self, stepper: Any, substeps: int, device: str):
         self.stepper, self.substeps, self.weight_rows, self._device = stepper, substeps, substeps, device
@@ -67,7 +67,7 @@ class DeviceModes:
         return [*calls, squares]
 
     def _pushes(self, state: Any, forces: Any, substep: int) -> Calls:
-        """Return launches that add the coupling forces between modes to the forces of a substep."""
+        """Return the launches that add the coupling forces between modes to the forces of a substep."""
         worlds, count, (rows, columns) = len(state), len(self.stepper.feedback), self._coupling.shape
         chunks = -(-rows // CHUNK)
         mixed: Any = wp.zeros((worlds, rows), dtype=wp.float64, device=self._device)
@@ -89,7 +89,7 @@ def pays(size: int, shapes: int, substeps: int) -> bool:
 
 
 class DeviceReduced:
-    """A ReducedStepper, which makes it, on a device, see DeviceModel: all substeps are one matrix."""
+    """DeviceModel of a ReducedStepper: all substeps are one matrix."""
 
     def __init__(self, stepper: Any, substeps: int, points: int, device: str):
         self.stepper: SkinStepper = stepper
@@ -123,7 +123,7 @@ class DeviceReduced:
 
 
 class _Products:
-    """Pressure at some points times a matrix (p, c), then mixed; points: their numbers, shape (p,)."""
+    """Products of pressures at some points with a matrix (p, c), then mixed; points: their numbers, shape (p,)."""
 
     def __init__(self, points: Sequence[int] | Any, matrix: Float, device: str):
         self._device = device
@@ -131,7 +131,7 @@ class _Products:
         self._matrix: Any = wp.array(np.ascontiguousarray(matrix, np.float32), dtype=wp.float32, device=device)
 
     def calls(self, memory: StepMemory) -> tuple[list[Callable[[], object]], Any]:
-        """Return launches, and their output: products of each row of the weights, float64, shape (w, rows, c)."""
+        """Return the launches and their output: products for each row of the weights, float64, shape (w, rows, c)."""
         points, columns = self._matrix.shape
         worlds, rows, patterns = memory.weights.shape
         blocks, chunks = -(-patterns // kernels.ROWS) * worlds, -(-points // CHUNK)

@@ -1,6 +1,6 @@
 """Modes of a skin in several worlds on a device: all substeps of all worlds as a few launches in one captured graph.
 
-The states belong to the caller and are copied to and from the device in each step; the device keeps none of them.
+The states belong to the caller. Each step copies them to the device and back.
 """
 
 from collections.abc import Callable
@@ -15,8 +15,9 @@ from warp_kernels import skin_steps as kernels
 
 
 class _Work(NamedTuple):
-    """Steps with the same number of substeps and the same reading. mixed: weights of the patterns in each, (w, s);
-    motion: the readings, (w, s, 2, m), None without; replay: runs a step"""
+    """Memory and graph of steps with the same number of substeps and the same reader.
+
+    mixed: weights of the patterns in substeps, (w, s); motion: readings, (w, s, 2, m), or None; replay: runs a step"""
 
     mixed: SharedArray
     motion: SharedArray | None
@@ -24,9 +25,9 @@ class _Work(NamedTuple):
 
 
 class DeviceWorlds:
-    """Steps of a ModalStepper whose modes move by themselves, under one pattern of pressure a world, in one state.
+    """Steps of a ModalStepper with uncoupled modes, in several worlds, under one pattern of pressure per world.
 
-    stepper: whose states it carries; most: worlds, at most; device: as returned by `palmfield.device.resolve`
+    stepper: owner of the states; most: largest number of worlds; device: from `palmfield.device.resolve`
     """
 
     def __init__(self, stepper: Any, most: int, device: str):
@@ -43,7 +44,7 @@ class DeviceWorlds:
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float32 | None:
-        """See SkinStepper; what is observed is a view that the next step overwrites."""
+        """See SkinStepper. The returned motion is a view that the next step overwrites."""
         stepper = self.stepper
         check_step(stepper, state, loads, len(stepper.points), t0, t1)
         worlds, substeps, _ = loads.first.shape
@@ -64,7 +65,7 @@ class DeviceWorlds:
         return None if work.motion is None else work.motion.host[:worlds]
 
     def _work(self, substeps: int, observe: Reader | None) -> "_Work":
-        """Return the memory and graph for this number of substeps, read by `observe`; stored."""
+        """Make and store the memory and graph for this number of substeps and this reader; return them."""
         stepper, device = self.stepper, self._device
         rows, padded = stepper.state_rows, stepper.padded
         mixed = SharedArray((self.most, substeps), wp.float32, device)

@@ -9,7 +9,7 @@ from palmfield.types import Complex, Int
 
 
 class DynamicStiffness:
-    """Z(s) of a body. order: elimination order for its factors, shape (n,); None lets SuperLU find one."""
+    """Z(s) of a body. order: elimination order for its factors, shape (n,); None: SuperLU finds one."""
 
     def __init__(self, body: LinearBody, order: Int | None = None) -> None:
         self.materials = [part.material for part in body.parts]
@@ -25,6 +25,6 @@ class DynamicStiffness:
         return np.stack([s**2, s, one, *laws], axis=-1)
 
     def factor(self, s: complex) -> AnyFactor:
-        """Factors of Z(s). With Re s > 0 conj(s) Z(s) has a positive definite real part: no pivoting is needed."""
+        """Return the factors of Z(s). For Re s > 0 the real part of conj(s) Z(s) is positive definite: no pivoting."""
         weights = self.weights(np.array([s if s.imag else s.real]))[0]
         return factorise(sum(w * m for w, m in zip(weights, self.matrices, strict=True)), self.order)

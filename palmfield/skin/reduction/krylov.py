@@ -1,21 +1,21 @@
 """Basis for a reduced viscoelastic body from one real factorisation: block Arnoldi of the first-order form.
 
 With v = u' and q_i' = (u - q_i) / tau_i a body is T x' = A x + b f, x = (u, v, q_1, ..). The Krylov space of
-(sigma T - A)^-1 T from (sigma T - A)^-1 b holds the derivatives in s, at s = sigma, of the solutions Z(s)^-1 B. One
-application solves with Z(sigma) once. With the new x marked by a prime,
+(sigma T - A)^-1 T from (sigma T - A)^-1 b contains the derivatives by s, at s = sigma, of the solutions Z(s)^-1 B. Each
+new block needs one solve with Z(sigma). A prime marks the new x:
 
     Z(sigma) u' = M (v + sigma u) + C u + sum_p K_p (t u + sum_i g_i tau_i / (1 + sigma tau_i) q_i) + F w'
     v' = sigma u' - u,    q_i' = (u' + tau_i q_i) / (1 + sigma tau_i)
 
-So u, v and q lie in the space of the u alone, and x is stored as coordinates in a basis of that (two-level orthogonal
-Arnoldi: Lu, Su & Bai, SIAM J. Matrix Anal. Appl. 37, 2016). For sigma > 0 of the size of the highest frequency w the
-solutions on the whole line up to i w converge together, in real arithmetic.
+So u, v and q all lie in the space of u, and x is stored as coordinates in a basis of this space (two-level orthogonal
+Arnoldi: Lu, Su & Bai, SIAM J. Matrix Anal. Appl. 37, 2016). If sigma > 0 is about as large as the highest frequency w,
+the solutions for all s from 0 to i w converge together, in real arithmetic.
 
-A load with a known course needs no basis for every course. If it is F w with w' = S w from w(0) = w_0, skin and load
-together move on one line: the space begins with w_0 alone, and w' = (sigma - S)^-1 w is added to the rest. A focus on
-a circle takes some tens of vectors in this way, and hundreds otherwise.
+A load with a predicted course needs a smaller basis than a load with any course. If the load is F w with w' = S w from
+w(0) = w_0, the space begins with the single vector for w_0, and w' = (sigma - S)^-1 w is added to the equations. A
+focus on a circle then needs some tens of vectors instead of hundreds.
 
-A space is grown until motion stops changing (`grow_until`): that under a predicted load (reduced_stepper and
+A space grows until the result stops changing (`grow_until`): the motion under a predicted load (reduced_stepper and
 solvers.reduced), or the transfer functions over a band (`palmfield.skin.reduction.reducer.reduce`).
 """
 
@@ -36,19 +36,19 @@ ROOM = 64
 """Number of vectors per memory allocation."""
 PARALLEL = 1e-13
 SMALLEST = 1e-10
-"""If the new part of a vector is smaller than this share, it is round-off."""
+"""Share of a vector below which its new part is round-off."""
 SHIFT = 0.6
-"""Share of the highest relevant angular frequency: with it solutions from 0 to that frequency converge together."""
+"""Sigma over the highest relevant angular frequency; solutions from 0 to this frequency then converge together."""
 ROUND = 8
-"""Least difference of the numbers of vectors of two compared models."""
+"""Least difference between the numbers of vectors of two compared models."""
 SAFETY = 1.5
-"""Factor on the last change. With a circle on the palm, on large elements, the error was up to 1.3 times it."""
+"""Factor on the last change. For a circle on the palm, on large elements, the error was up to 1.3 times the change."""
 
 T = TypeVar("T")
 
 
 class _Columns:
-    """Columns of length n; memory is allocated for ROOM further ones at a time."""
+    """Columns of length n; memory is allocated for ROOM more columns at a time."""
 
     def __init__(self, length: int) -> None:
         self._room: Float = np.empty((length, ROOM), order="F")
@@ -71,15 +71,15 @@ class _Columns:
 class Krylov:
     """Vectors V, (n, r), orthonormal in the mass; `grow` adds a block.
 
-    dynamics: the body; shift: sigma [1/s], > 0, where Z is factorised, once
-    load: force for one unit of each of j inputs, shape (n, j), for any course of each; or the one Course
+    dynamics: the body; shift: sigma [1/s], > 0, at which Z is factorised once
+    load: force for one unit of each of j inputs, shape (n, j), for any time course; or a Course
     """
 
     def __init__(self, dynamics: DynamicStiffness, shift: float, load: Float | Course) -> None:
         self.dynamics, self.shift = dynamics, shift
         self.factored = dynamics.factor(shift)
         self._columns = _Columns(dynamics.size)
-        # A product with a matrix takes longer than one with vectors, so mass, damping and parts times V are stored
+        # Products of mass, damping and parts with V are stored, because they take longer than products of vectors
         numbers = [number for number, matrix in enumerate(dynamics.matrices) if number != 2 and matrix.nnz]
         self._products = {number: _Columns(dynamics.size) for number in numbers}
         self._halves = {number: _halves(dynamics.matrices[number]) for number in numbers}
@@ -114,7 +114,7 @@ class Krylov:
 
     @property
     def projected(self) -> list[Float]:
-        """The matrices of the dynamics in these vectors, symmetric."""
+        """Matrices of the dynamics projected on these vectors, symmetric."""
         self._project()
         return list(self._small)
 
@@ -124,7 +124,7 @@ class Krylov:
         return np.asarray(np.linalg.solve(self.shift * np.eye(len(rates)) - rates, load), dtype=float)
 
     def grow(self) -> int:
-        """Apply the operator to the last block. Returns the number of new vectors; 0 at the end of the space."""
+        """Apply the operator to the last block and return the number of new vectors; 0 at the end of the space."""
         before, shift = self.order, self.shift
         u, v, *internal = self._block
         shares = {0: v + shift * u, 1: u}
@@ -148,7 +148,7 @@ class Krylov:
         return self.order - before
 
     def _take(self, result: Float) -> Float:
-        """Return coordinates (r, k) of columns (n, k); the basis grows by their new parts."""
+        """Add the new parts of columns (n, k) to the basis and return the coordinates of the columns, (r, k)."""
         mass = self._halves[0]
         heavy = _times(mass, result)
         size = np.sqrt(np.einsum("nk,nk->k", result, heavy)).max(initial=0.0)
@@ -160,7 +160,7 @@ class Krylov:
             rest = rest - _times(_halves(self.vectors), basis)
             heavy = _times(mass, rest)
         squares, turn = np.linalg.eigh(rest.T @ heavy)
-        # For nearly parallel columns the difference is a rounding error of their squares.
+        # For nearly parallel columns the difference is a rounding error of the squares.
         kept = squares > max((SMALLEST * size) ** 2, PARALLEL * squares.max(initial=0.0))
         scale = turn[:, kept] / np.sqrt(squares[kept])
         new = rest @ scale
@@ -170,7 +170,7 @@ class Krylov:
         return np.concatenate([coordinates, new.T @ heavy])
 
     def _project(self) -> None:
-        """Update the projected matrices to the present order: many vectors at once cost little more than one."""
+        """Update the projected matrices to the present order; many vectors together cost little more than one."""
         before, after = self._small.shape[1], self.order
         if before == after:
             return
@@ -206,7 +206,7 @@ class Krylov:
 
 
 class TooManyVectorsError(SceneError):
-    """The model of the largest allowed size does not reach the tolerance. reached: the trial of that model"""
+    """The model of the largest allowed size does not reach the tolerance; reached: trial of this model."""
 
     def __init__(self, message: str, reached: object = None) -> None:
         super().__init__(message)
@@ -214,7 +214,7 @@ class TooManyVectorsError(SceneError):
 
 
 def grown(krylov: Krylov, vectors: int) -> bool:
-    """Grow a space by this number of vectors or more; return False if it cannot grow."""
+    """Grow a space by at least this number of vectors; return False if it cannot grow."""
     target, growing = krylov.order + vectors, True
     while growing and krylov.order < target:
         growing = krylov.grow() > 0
@@ -231,10 +231,11 @@ def grow_until(
 ) -> tuple[T, float]:
     """Grow a Krylov space until models of two sizes agree; return the last trial and its estimated relative error.
 
-    trial: the result of the model of the present size. change: (trial, that of fewer vectors) -> relative difference.
-    residual: another estimate, computed when the first is small enough; the larger of the two is returned.
-    The error is SAFETY times the change by the last ROUND vectors or more. It is above the tolerance only where the
-    space ended. Raises TooManyVectorsError if most_vectors do not reach the tolerance.
+    trial: returns the result of the model of the present size.
+    change: (trial, trial with fewer vectors) -> relative difference.
+    residual: second estimate, computed if the first is small enough; the larger of the two is returned.
+    The error is SAFETY times the change by the last ROUND or more vectors. It is above the tolerance only if the space
+    cannot grow any more. Raises TooManyVectorsError if most_vectors do not reach the tolerance.
     """
     before = trial()
     while True:
@@ -255,7 +256,7 @@ def grow_until(
 
 
 def _halves(matrix: Any) -> list[Any]:
-    """Return the upper and the lower rows of an array or a csr matrix, without a copy."""
+    """Return the upper and lower halves of the rows of an array or a csr matrix, without a copy."""
     half, rows = matrix.shape[0] // 2, matrix.shape[0]
     if isinstance(matrix, np.ndarray):
         return [matrix[:half], matrix[half:]]
@@ -269,7 +270,7 @@ def _halves(matrix: Any) -> list[Any]:
 
 
 def _times(halves: Sequence[Any], columns: Float) -> Float:
-    """matrix @ columns, (n, r) and (r, k), of its halves by two threads: memory feeds both better than one."""
+    """Return matrix @ columns, (n, r) and (r, k), one thread for each half; two threads use more memory bandwidth."""
     results: list[Any] = [None, None]
 
     def product(number: int) -> None:
@@ -292,6 +293,6 @@ def _adjoint(vectors: Float, columns: Float) -> Float:
 
 
 def _padded(rows: Any, count: int) -> Any:
-    """Return the coordinates (c, r, k) in a basis that has grown to `count` vectors."""
+    """Return coordinates (c, r, k) padded with 0 for a basis that has grown to `count` vectors."""
     missing = count - rows.shape[1]
     return np.concatenate([rows, np.zeros((rows.shape[0], missing, rows.shape[2]))], axis=1)

@@ -1,10 +1,10 @@
 """Pressure shapes that span a class of loads, and the few points of a skin that determine their shares.
 
-The sound of given arrays on a piece of skin varies no faster than half a wavelength. So all its pressures there are
-sums of some hundred shapes: the leading singular vectors of examples. As many numbers determine the shares, so the
-pressure need not be computed at every quadrature point. Empirical interpolation (Barrault et al., C. R. Math. 339,
-2004) takes the points by pivoted QR (Drmac & Gugercin, SIAM J. Sci. Comput. 38, 2016), here with more points than
-shapes and least squares between them.
+The sound of given arrays on a skin hardly varies over less than half a wavelength. So all its pressures are sums of
+some hundred shapes: the leading singular vectors of examples. A pressure is computed only at few points, because these
+values determine the shares of the shapes. Pivoted QR chooses the points (empirical interpolation: Barrault et al., C.
+R. Math. 339, 2004; QR: Drmac & Gugercin, SIAM J. Sci. Comput. 38, 2016). Here there are more points than shapes, and
+the shares follow by least squares.
 """
 
 import math
@@ -12,31 +12,30 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import scipy  # loads its parts at first use
+import scipy  # loads its submodules at first use
 
 from palmfield.errors import SceneError
 from palmfield.threads import in_parts
 from palmfield.types import Float, Float32, Int
 
 POINTS = 2
-"""Points per shape: the error of the fit is then less than half of the error due to omitted shapes."""
+"""Number of points per shape: the error of the fit is then less than half of the error due to omitted shapes."""
 
 MANY = 400
-"""From this number of shapes, pivoted QR takes seconds, and LU a tenth of that."""
+"""Number of shapes from which LU replaces pivoted QR: QR then takes seconds, and LU a tenth of this time."""
 BLOCK = 2048
 """Number of points converted to double precision at a time."""
 ROWS = 512
-"""Rows of a product that a thread takes at a time."""
+"""Number of rows of a product that a thread computes at a time."""
 CLOSENESS = 0.003
-"""Share of the tolerance that the examples with which the search for singular vectors begins may omit at most."""
+"""Largest share of the tolerance that may be outside the initial examples of the search for singular vectors."""
 SPARE, TURNS = 1.25, 3
-"""Number of these examples, relative to the number that just omits the tolerance; and number of products with all
-examples. These products rotate the span to the singular vectors, so accurately that the points are the same as for
-exact vectors."""
+"""Number of initial examples over the number that just reaches the tolerance; and number of products with all examples.
+These products rotate the span so close to the singular vectors that the points are the same as for exact vectors."""
 LEVEL = 0.005
-"""Relative difference of neighbouring singular values up to which they count as equal: all are kept, or none."""
+"""Largest relative difference of neighbouring singular values that count as equal; of equal values all stay or none."""
 TIE = 1e-3
-"""Reduction of the weight of a point by its number, so that rounding does not decide between equal points."""
+"""Relative reduction of the weight from first to last point, so that rounding does not choose between equal points."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +43,8 @@ class LoadShapes:
     """A class of pressures on the quadrature points of a skin.
 
     shapes: orthonormal over the area of the skin [1/m], shape (m, q). sizes: rms share of each in the examples, (m,).
-    points: numbers of the points at which a pressure is evaluated, rising, shape (p,).
-    fit: matrix from pressures at these points to shares: shares = fit @ pressure, shape (m, p).
+    points: numbers of the points at which a pressure is evaluated, ascending, shape (p,).
+    fit: matrix from pressures at these points to shares, shape (m, p).
     """
 
     shapes: Float
@@ -55,7 +54,7 @@ class LoadShapes:
 
 
 def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, points: int = POINTS) -> LoadShapes:
-    """Find shapes whose sums approximate examples within a tolerance, rms over all examples.
+    """Return shapes whose sums approximate examples within a relative tolerance, rms over all examples.
 
     examples: pressures [Pa], shape (t, q), in single or double precision.
     weights: areas of the points [m^2], shape (q,). points: number of points per shape, at most all points.
@@ -86,10 +85,9 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
 
 
 def in_gap(sizes: Float, count: int) -> int:
-    """Return the least number of sizes, (n,), falling, that is at least `count` and after which the next size is
-    smaller by LEVEL.
+    """Return the least number >= count after which the next of the descending sizes, (n,), is smaller by LEVEL.
 
-    Symmetric bodies have sizes in pairs; a cut between two equal ones would be made by rounding.
+    Symmetric bodies have pairs of equal sizes; rounding would decide which of a pair is kept.
     """
     while count < len(sizes) and sizes[count] > (1.0 - LEVEL) * sizes[count - 1]:
         count += 1
@@ -97,7 +95,7 @@ def in_gap(sizes: Float, count: int) -> int:
 
 
 def _telling_points(shapes: Float, times: int) -> Int:
-    """Columns that separate shapes (m, q), rising: some times as many as shapes, each time from the remaining ones."""
+    """Return times * m columns, ascending, that separate shapes (m, q); each round chooses m remaining columns."""
     shapes = shapes * (1.0 - TIE * np.arange(shapes.shape[1]) / shapes.shape[1])
     left = np.arange(shapes.shape[1])
     chosen: list[Int] = []
@@ -109,7 +107,7 @@ def _telling_points(shapes: Float, times: int) -> Int:
 
 
 def _pivots(shapes: Float) -> Int:
-    """Return columns of shapes (m, q), the best first, by QR, or by LU (faster, less good) for MANY shapes."""
+    """Return the columns of shapes (m, q), the best first, by QR; from MANY shapes on by LU (faster, less good)."""
     if len(shapes) < MANY:
         return np.asarray(scipy.linalg.qr(shapes, mode="r", pivoting=True, check_finite=False)[1])
     _, exchanged = scipy.linalg.lu_factor(shapes.T, check_finite=False)
@@ -120,7 +118,7 @@ def _pivots(shapes: Float) -> Int:
 
 
 def _products(examples: Float | Float32, root: Float) -> Float:
-    """Each with each of the examples (t, q) times root (q,), shape (t, t), a block of points at a time."""
+    """Return the products, (t, t), of all pairs of examples (t, q) with weights root**2 (q,), by blocks of points."""
     products: Float = np.zeros((len(examples), len(examples)))
 
     def multiply(rows: slice) -> None:
@@ -139,9 +137,9 @@ def _multiply(left: Float, right: Float, result: Float, rows: slice) -> None:
 
 
 def _leading(products: Float, tolerance: float) -> tuple[Float, Float]:
-    """Return the leading eigenvalues, falling, (r,), and eigenvectors, (t, r), of a matrix of products (t, t).
+    """Return the leading eigenvalues, descending, (r,), and eigenvectors, (t, r), of a matrix of products (t, t).
 
-    More than those whose sums approximate the rows within the tolerance. Subspace iteration, from the columns of a
+    There are more of them than the tolerance needs. The method is subspace iteration that begins with the columns of a
     pivoted Cholesky factorisation.
     """
     squares = np.diagonal(products)

@@ -1,9 +1,9 @@
-"""Steps a skin by modes for all loads of a class: any time course of any sum of its shapes.
+"""Step a skin by modes for all loads of a class: any time course of any sum of its shapes.
 
-The modes move by the scheme that steps the whole layer (palmfield.skin.fem.generalised_alpha), so that the whole layer
-can continue from a state without change. Under one relaxation law each moves by itself. Several laws couple them: they
-are then the eigenvectors of the matrix that a substep solves with, and what couples them pushes each by the motion of
-all before the substep, one dense product for each law but one. The pressure is evaluated at few points of the skin.
+Modes and the whole layer use the same scheme (palmfield.skin.fem.generalised_alpha), so the whole layer can continue
+from a state of the modes without change. With one relaxation law the modes are uncoupled. Several laws couple them.
+The modes are then eigenvectors of the matrix of a substep, and the coupling is a force from the motion before the
+substep: one dense product for each law except one. The pressure is evaluated at few points of the skin.
 """
 
 import weakref
@@ -42,18 +42,18 @@ from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import modes as kernels
 
 MOST_SHARE = 0.4
-"""Largest number of vectors, as a share of the unknowns of a layer: with more, modes save no time."""
+"""Largest number of vectors over unknowns of a layer; with more vectors, modes save no time."""
 COMPLIANCE_LEFT_OUT = 1e-4
-"""Share of the compliance of the points that its low-rank form omits: 1 % of a norm."""
+"""Share of the compliance of the points that its low-rank form omits; it is 1 % of a norm."""
 
 
 @dataclass(frozen=True)
 class ModalBody:
     """The data of a ModalStepper that are expensive to compute.
 
-    modes: see RitzModes; shapes: shapes of the class; forces: forces of each shape on each mode, shape (m, r)
-    compliance: the energy norm of a pressure at the shapes' points is that of pressure @ compliance, shape (p, k)
-    readers: those of all steppers, with their operators, because each is a product of all modes
+    modes: see RitzModes; shapes: shapes of the class; forces: force of each shape on each mode, shape (m, r)
+    compliance: the norm of pressure @ compliance is the energy norm of a pressure at the points of the shapes, (p, k)
+    readers: readers of all steppers with their operators, stored because each is a product of all modes
     """
 
     modes: RitzModes
@@ -77,14 +77,13 @@ def modal_body(
 ) -> ModalBody:
     """Return the modes of a layer for the class of loads given by examples, from one real factorisation.
 
-    surface: operator of the displacement that must be right, csr, (S, n).
-    examples: pressures at the quadrature points [Pa], shape (t, q). depends_on: all data on which they depend.
+    surface: operator of the displacement that must be accurate, csr, (S, n).
+    examples: returns pressures at the quadrature points [Pa], shape (t, q). depends_on: all data on which they depend.
     tolerance: relative share of the examples that the shapes may omit. points: number of points per shape.
-    blocks: blocks of the space of the modes, at least 2. omitted: share of the motion that modes may omit, see
-    `ritz_modes`.
-    step_s: length of a substep [s], on which coupled modes depend.
+    blocks: blocks of the space of the modes, at least 2. omitted: share of the motion to omit, see `ritz_modes`.
+    step_s: length of a substep [s]; coupled modes depend on it.
     The result is stored in the cache (`palmfield.cache`).
-    Raises SceneError if the layer can have no modes, or has too few unknowns.
+    Raises SceneError if modes are impossible for the layer, or if it has too few unknowns.
     """
 
     def make() -> cache.Arrays:
@@ -128,8 +127,10 @@ def modal_body(
 
 @dataclass(frozen=True)
 class _Room:
-    """Work arrays of a call. forces: forces of each substep on the modes, (w, s, r); rows: the state, (w, rows, r);
-    seen: displacement and velocity after each substep, (w, s, 2, r); launch: runs all substeps"""
+    """Work arrays of a call.
+
+    forces: forces on the modes in each substep, (w, s, r); rows: state, (w, rows, r); launch: runs all substeps;
+    seen: displacement and velocity after each substep, (w, s, 2, r)"""
 
     forces: Float
     rows: Float
@@ -138,19 +139,18 @@ class _Room:
 
 
 class ModalStepper(SkinStepper):
-    """Modes of a layer; see SkinStepper.
+    """Step a layer by modes; see SkinStepper.
 
     body: see ModalBody. system: the layer. step_s: length of a substep [s].
-    corner_Hz: frequency above which the spectrum of the load falls as 1/f, for which the errors are stated.
-    points: numbers of the quadrature points at which it reads pressure, shape (p,).
-    error, velocity_error: estimated relative errors of using fewer modes than the layer has, for loads of the class.
-    advance, inputs: matrix of a substep for the numbers of each mode, shape (at least r, rows, rows), and the increment
-        by a force, (at least r, rows).
-    padded: modes in a state including padding: at least r.
-    coupling, feedback: modes act on each other in a substep by feedback @ state, (c, rows) @ (rows, r'), by rows,
-        times coupling, (c * r', r'); r' is at least r; c is 0 if each moves by itself.
-    A state has a row of numbers of all modes each for displacement, velocity, acceleration and the internal
-    displacement of every branch. Several worlds may be stepped at once.
+    corner_Hz: frequency above which the spectrum of the load falls as 1/f; the errors depend on it.
+    points: numbers of the quadrature points whose pressure is used, shape (p,).
+    error, velocity_error: estimated relative errors due to omitted modes, for loads of the class.
+    advance, inputs: matrix of a substep for each mode, (r', rows, rows), and increment by a force, (r', rows).
+    padded: number r' >= r of modes in a state with padding.
+    coupling, feedback: the coupling force in a substep is feedback @ state, (c, rows) @ (rows, r'), as one row, times
+        coupling, (c * r', r'); c is 0 if the modes are uncoupled.
+    A state has rows of r' numbers: displacement, velocity, acceleration and the internal displacement of every branch.
+    Several worlds may be stepped together.
     """
 
     name = "modal"
@@ -207,9 +207,7 @@ class ModalStepper(SkinStepper):
     def _step_some(
         self, part: slice, states: Float, mixed: Float32, pushes: Float32, observe: Reader | None, seen: Float32 | None
     ) -> None:
-        """All substeps of some worlds; pushes: pushes of each pattern on the modes, (w, k, r), or on the shapes, (w,
-        k, m)
-        """
+        """Do all substeps of some worlds; pushes: forces of patterns, see `pushes`."""
         state, mixed, pushes = states[part], mixed[part], pushes[part]
         rooms = self._rooms.setdefault(mixed.shape[:2], [])
         try:
@@ -225,13 +223,13 @@ class ModalStepper(SkinStepper):
         room.launch()
         rows[...] = room.rows
         if seen is not None and observe is not None:
-            # One product, because NumPy multiplies stacks one by one, which is seven times slower
+            # One product is seven times faster than the product of a stack, which NumPy computes one by one
             motion = room.seen.reshape(-1, self.padded).astype(np.float32)
             np.matmul(motion, observe.single, out=seen[part].reshape(-1, observe.count))
         rooms.append(room)
 
     def pushes(self, loads: SurfaceLoads) -> Float32:
-        """Force of each pattern on the modes, (w, k, r), or, if there are several, on the shapes, (w, k, m)."""
+        """Return the force of one pattern on the modes, (w, 1, r), or the shares of k patterns in shapes, (w, k, m)."""
         cached = self._pushed
         if loads.fixed and cached is not None and cached[0] is loads.pressure_Pa:
             return cached[1]
@@ -261,7 +259,7 @@ class ModalStepper(SkinStepper):
     def work(self, patterns: int, substeps: int) -> StepWork:
         points, shapes, modes, rows = len(self.points), len(self.body.shapes.sizes), self.order, self.state_rows
         dense = 2 * points * shapes + shapes * modes + points * self.body.compliance.shape[1]
-        # Matrix of coupled modes, too large for the memory of a multiprocessor, so each substep reads it again
+        # The matrix of coupled modes is too large for the memory of a multiprocessor, so each substep reads it again
         coupling = substeps * self.coupling.size
         own = modes * (rows * rows + rows)
         single, double = patterns * (dense + substeps * modes), substeps * own + coupling
@@ -279,8 +277,9 @@ class ModalStepper(SkinStepper):
         return self.weighed(squares)
 
     def weighed(self, squares: Sequence[float]) -> Outside:
-        """Return the part of the load outside the class. The arguments are sums of squares over substeps: of the
-        remainder and of the whole load, each in the energy norm and as plain pressure [Pa^2]."""
+        """Return the part of the load outside the class.
+
+        squares: sums over substeps, of the remainder and the whole load, in the energy norm and as pressure [Pa^2]"""
         outside, whole, plain, plain_whole = squares
         return Outside(self._hidden * outside, whole, self._hidden * plain, plain_whole)
 
@@ -290,7 +289,7 @@ class ModalStepper(SkinStepper):
                 return made
         matrix = checked_operator(operator, self.unknowns)
         seen = np.zeros((self.padded, matrix.shape[0]))
-        # Only the unknowns that the reader uses, because the product copies them in double precision
+        # Only unknowns of the reader, because the product copies them in double precision
         read = np.unique(matrix.indices)
         seen[: self.order] = (matrix[:, read] @ self.body.modes.vectors[read]).T
         made = Reader(matrix.shape[0], seen, seen.astype(np.float32))
@@ -341,7 +340,7 @@ class ModalStepper(SkinStepper):
         if not self.coupled:
             forces, seen = np.zeros((worlds, substeps, self.padded)), np.zeros((worlds, substeps, 2, self.padded))
             return _Room(forces, rows, seen, launch(forces, seen))
-        # Substeps are the outermost axis, because each is a launch
+        # Substeps are the outermost axis, because each substep is a launch
         forces, seen = np.zeros((substeps, worlds, 1, self.padded)), np.zeros((substeps, worlds, 1, 2, self.padded))
         ends = [(force[:, 0], launch(force, after)) for force, after in zip(forces, seen, strict=True)]
 
@@ -355,9 +354,7 @@ class ModalStepper(SkinStepper):
 
 
 def _propagators(scheme: Scheme, padded: int) -> tuple[Float, Float]:
-    """Matrix of the state of a mode over a substep, (padded, rows, rows), and its increment by a force, (padded,
-    rows).
-    """
+    """Return the matrix of a substep for each mode, (padded, rows, rows), and increment by a force, (padded, rows)."""
     diagonals = [term.matrix.diagonal() for term in scheme.terms]
     count, rows = len(diagonals[0]), scheme.state_rows
     rigidity = sum(term.coefficient * diagonal for term, diagonal in zip(scheme.terms, diagonals, strict=True))
@@ -371,9 +368,9 @@ def _propagators(scheme: Scheme, padded: int) -> tuple[Float, Float]:
 def _coupling(modes: RitzModes, scheme: Scheme, laws: int, padded: int) -> tuple[Float32, Float]:
     """Return stacked coupling matrices, (c * padded, padded), and the state rows to which they apply, (c, rows).
 
-    Modes are coupled only where their sum in `scheme.effective` is diagonal: what is solved for is then not coupled.
-    They are in single precision, to halve the reading time; a device computes the product in double. On discs of two
-    and three laws this changed the displacement by up to 4e-7 and the velocity by up to 2e-6 of the largest.
+    Coupled modes are those that make `scheme.effective` diagonal, so that a substep solves uncoupled equations. The
+    matrices are in single precision to halve the reading time; a device computes the product in double precision. On
+    discs of two and three laws this changed displacements by up to 4e-7, and velocities by up to 2e-6, of the largest.
     """
     count, order = len(modes.coupling), len(modes.elastic)
     coupling = np.zeros((count, padded, padded), np.float32)
@@ -384,12 +381,12 @@ def _coupling(modes: RitzModes, scheme: Scheme, laws: int, padded: int) -> tuple
 
 
 def _in_groups(values: Float) -> Any:
-    """Return values of modes (r, ...) as lanes, (r / WIDTH, ...)."""
+    """Return values of modes, (r, ...), as vectors of WIDTH lanes, (r / WIDTH, ...)."""
     grouped = values.reshape(-1, kernels.WIDTH, *values.shape[1:])
     return wp.array(np.ascontiguousarray(np.moveaxis(grouped, 1, -1)), dtype=kernels.lanes, device="cpu")
 
 
 def _lanes(values: Float) -> Any:
-    """Return a view of memory (..., r) as lanes, (..., r / WIDTH)."""
+    """Return a view of memory, (..., r), as vectors of WIDTH lanes, (..., r / WIDTH)."""
     wide = values.reshape(*values.shape[:-1], -1, kernels.WIDTH)
     return wp.array(wide, dtype=kernels.lanes, device="cpu", copy=False)

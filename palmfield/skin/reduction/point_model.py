@@ -1,8 +1,8 @@
-"""Motion of one point of a skin under one pressure, at rest, at any frequency and with any level over time.
+"""Motion of one point of a skin under one pressure: static, at any frequency, and with any level over time.
 
-The start of a load makes a lightly damped skin ring at its own frequencies. The responses at rest and at the main
-frequency do not show this; a time course does. A reduced model computes all three with one real factorisation, also
-for other materials on the same mesh.
+The start of a load makes a lightly damped skin oscillate at its own frequencies. Only the time course shows this, not
+the static response and the response at the main frequency. A reduced model computes all three with one real
+factorisation, also for other materials on the same mesh.
 """
 
 import math
@@ -26,24 +26,23 @@ from palmfield.skin.reduction.reducer import WEAK
 from palmfield.types import Complex, Float
 
 WINDOW_S = 0.05
-"""Time after a sudden start in which models of two sizes are compared [s]."""
+"""Time after a sudden start over which models of two sizes are compared [s]."""
 MOMENTS = 256
 BAND = 0.25, 0.5
-"""Frequencies at which they are compared too, over the highest relevant one; with a main frequency above these also
-the highest."""
+"""Further frequencies of this comparison, over the highest relevant frequency. If the main frequency is above them,
+the highest is added."""
 TOLERANCE = 5e-3
-"""Relative error of the motion of the point, in that window and at these frequencies, at which the model is large
-enough."""
+"""Largest relative error of the motion of the point, in this window and at these frequencies, for a finished model."""
 MOST_VECTORS = 240
 DIGITS = 12
-"""Decimal places of a force, over its norm: a model serves the force at any level."""
+"""Number of decimal places of a force over its norm: one model is valid for all levels of a force."""
 
 
 class PointModel:
     """Motion of one point under one shape of force.
 
-    projection: the body in the vectors of the model, with that force and reading. error: relative, see `point_model`.
-    supported: whether the body has a support at rest.
+    projection: the body in the vectors of the model, with force and reading. error: relative, see `point_model`.
+    supported: whether the body has a support, so that a static solution exists.
     """
 
     def __init__(self, projection: Projection, error: float, supported: bool) -> None:
@@ -62,11 +61,11 @@ class PointModel:
         return complex(self.projection.harmonic(f_Hz)[0])
 
     def discrete(self, f_Hz: float, step_s: float) -> complex:
-        """Return the complex displacement in the steady state of WedgeStepper, substeps of `step_s` [s]; f_Hz > 0."""
+        """Return the complex displacement [m] in the steady state of WedgeStepper, substeps `step_s` [s]; f_Hz > 0."""
         return complex(self.projection.moved(*discrete_weights(self.projection.materials, f_Hz, step_s))[0])
 
     def moved(self, level: Float, times: Float) -> Float:
-        """Return the displacement [m] at times [s], rising, (t,), from rest at the first, exact in time.
+        """Return the displacement [m] at ascending times [s], (t,), exact in time; the body starts at rest.
 
         level: factor of the force at these times, linear between them, (t,)
         """
@@ -74,7 +73,7 @@ class PointModel:
             return np.asarray(Reduced(self.projection, 0.0).run(level[:, None], times)[0][:, 0], dtype=float)
 
     def stepped(self, level: Float, step_s: float) -> Float:
-        """Return `moved` computed by the substeps of WedgeStepper, at the ends of steps of `step_s`, (t,)."""
+        """Return the same as `moved` with the substeps of WedgeStepper, at the ends of steps of `step_s`, (t,)."""
         mass, damping, elastic, *stiffness = (sparse.csr_matrix(matrix) for matrix in self.projection.matrices)
         parts = [Part(each, law) for each, law in zip(stiffness, self.projection.materials, strict=True)]
         scheme = Scheme(Matrices(mass, damping, elastic, parts), step_s, RHO_INF)
@@ -103,17 +102,16 @@ def point_model(
     highest_Hz: float,
     others: Sequence[SkinSystem] = (),
 ) -> list[PointModel]:
-    """Make the model of the motion of a point of a layer under a force, by one real factorisation.
+    """Return models of the motion of a point of a layer under a force, by one real factorisation.
 
-    force: force of the load at full level, (n,) [N]. read: vector that reads the point, (n,). main_Hz, highest_Hz:
-    main and highest
-        frequency of the load.
-    others: the layer with other materials, on the same mesh with the same conditions. Their models follow that of the
-        layer in the list, in the same vectors: displacements are within 1 % for moduli of 0.6 to 1.7 times those of the
-        layer (tests/skin/test_point_model.py).
-    The error is SAFETY times the change by the last ROUND vectors or more. It is the largest of three changes: of the
-    motion over WINDOW_S after a sudden start (L2 over the window), of the displacement at rest, and of the harmonic
-    displacements in BAND. It is above TOLERANCE if MOST_VECTORS are not enough. Kept in the cache (`palmfield.cache`).
+    force: force of the load at full level, (n,) [N]. read: vector that reads the point, (n,).
+    main_Hz, highest_Hz: main and highest frequency of the load.
+    others: the layer with other materials, on the same mesh with the same conditions. Their models use the same vectors
+        and follow that of the layer in the list. Their displacements are within 1 % for moduli of 0.6 to 1.7 times
+        those of the layer (tests/skin/test_point_model.py).
+    The error is SAFETY times the largest of three changes by the last ROUND or more vectors: of the motion over
+    WINDOW_S after a sudden start (L2), of the static displacement, and of the harmonic displacements in BAND. It is
+    above TOLERANCE if MOST_VECTORS are not enough. Models are stored in the cache (`palmfield.cache`).
     Raises SceneError for a force or a reading of 0.
     """
     size = float(np.linalg.norm(force))

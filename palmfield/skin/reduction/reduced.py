@@ -2,11 +2,11 @@
 
 Full body: M u'' + C u' + E u + sum_p K_p (u + sum_i g_i (u - q_i) + t u') = B f, q_i' = (u - q_i) / tau_i, y = Y u.
 Its matrices are projected on both sides with a real V (palmfield.skin.reduction.krylov) and stay symmetric and
-positive semidefinite, so the reduced body dissipates energy like the full body: it is stable for any V.
+positive semidefinite. So the reduced body dissipates energy like the full body, and it is stable for any V.
 
-Time: coordinates x = (w_k a_k, a', sqrt(g) L_p (a - q)), with w_k^2 the eigenvalues of the relaxed stiffness and
-L^T L = K_p, make |x|^2 / 2 the energy, so exp(A h) never lengthens x. Steps use that matrix exponential, with the force
-held or linear in between.
+Time: coordinates are x = (w_k a_k, a', sqrt(g) L_p (a - q)); w_k^2 are the eigenvalues of the relaxed stiffness, and
+L^T L = K_p. Then |x|^2 / 2 is the energy, so exp(A h) never makes x longer. Steps use this matrix exponential, with the
+force constant or linear in between.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy  # loads its parts at first use
+import scipy  # loads its submodules at first use
 
 from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from palmfield.skin.problem import Law
 
 MOST_CONDITION = 1e8
-"""Above this condition of the eigenvectors `run` uses matrix exponentials (free bodies have a double root 0)."""
+"""Condition number of the eigenvectors above which `run` uses matrix exponentials (free bodies: double root 0)."""
 
 MOST_STEPS = 64
 """Number of step lengths whose exponentials are stored."""
@@ -34,8 +34,8 @@ MOST_STEPS = 64
 class Reduced:
     """Reduced model: computes y and y' from forces f.
 
-    order: number r of basis vectors; error: relative error of y, estimated when the model is made; no bound
-    A state is one flat array of `state_size` floats; all zeros is rest.
+    order: number r of basis vectors; error: estimated relative error of y; it is not a bound
+    A state is a flat array of `state_size` floats; at rest all are 0.
     """
 
     def __init__(self, small: Projection, error: float) -> None:
@@ -53,15 +53,15 @@ class Reduced:
         return np.zeros(self.state_size)
 
     def step(self, state: Float, force_start: Float, force_end: Float, step_s: float) -> None:
-        """Advance a state by step_s [s], in place, exactly, under forces (j,) linear between these two."""
+        """Advance a state in place by step_s [s], exactly, under forces (j,) that are linear from start to end."""
         advance, start, end = self.propagators(step_s)
         state[:] = advance @ state + start @ force_start + end @ force_end
 
     def march(self, state: Float, first: Float, last: Float, step_s: float) -> Float:
-        """States (s, state_size) after each of s steps of step_s [s], exactly, from a state that stays as it is.
+        """Return the states (s, state_size) after each of s steps of step_s [s], exactly; `state` does not change.
 
         first, last: forces at the start and end of each step, linear in between, (s, j)
-        Uses the modes of A if they are well conditioned; a step length used once then needs no matrix exponential.
+        If the modes of A are well conditioned, they replace the matrix exponential.
         """
         modes = self._modes
         if modes is None:
@@ -81,7 +81,7 @@ class Reduced:
 
     @cached_property
     def _modes(self) -> "_Modes | None":
-        """Return the modes of A; None if they are ill conditioned."""
+        """Modes of A; None if they are ill conditioned."""
         with one_blas_thread:
             roots, vectors = np.linalg.eig(self.rates)
             if not np.linalg.cond(vectors, 1) < MOST_CONDITION:
@@ -90,10 +90,7 @@ class Reduced:
             return _Modes(roots, vectors, inverse, np.linalg.solve(vectors, self.inputs))
 
     def decoupled(self, step_s: float) -> "Decoupled | None":
-        """Return the same steps in independent coordinates, without a matrix exponential.
-
-        None if the modes are ill conditioned.
-        """
+        """Return the same steps in uncoupled coordinates, without a matrix exponential; None if ill conditioned."""
         modes = self._modes
         if modes is None:
             return None
@@ -126,11 +123,11 @@ class Reduced:
         return self.displaces @ np.linalg.solve(s * np.eye(self.state_size) - self.rates, self.inputs)
 
     def run(self, forces: Any, times: Float, law: "Law" = "linear") -> tuple[Any, Any]:
-        """Return y [m] and y' [m/s] at times [s], rising, (t,), of a body at rest at the first, both (t, k).
+        """Return y [m] and y' [m/s] at ascending times [s], (t,), both (t, k); the body starts at rest.
 
-        forces: real or complex, shape (t, j): "linear" between the times, or "held" at that of the earlier one.
-        Exact in time: the modes of A where they are well conditioned, else a matrix exponential for each step length.
-        Raises SceneError for shapes that do not fit or times that do not rise.
+        forces: real or complex, shape (t, j): "linear" between the times, or "held" at the earlier value.
+        Exact in time: by the modes of A if they are well conditioned, else by a matrix exponential per step length.
+        Raises SceneError for shapes that do not fit or times that do not ascend.
         """
         forces = np.asarray(forces, dtype=complex if np.iscomplexobj(forces) else float)
         times = np.asarray(times, dtype=float)
@@ -175,17 +172,17 @@ class Reduced:
             with one_blas_thread:
                 whole = scipy.linalg.expm(block)
             ramp = whole[:size, size + inputs :]
-            # Several threads may use a model, so the result is returned without a second look-up
+            # Another thread may clear the dictionary, so the result is returned without a second look-up
             found = self._steps[step_s] = whole[:size, :size], whole[:size, size : size + inputs] - ramp, ramp
         return found
 
 
 @dataclass(frozen=True)
 class Decoupled:
-    """Steps of a reduced model in modal coordinates z: z = x @ there of a state x, and x = z @ back, both (n, n).
+    """Steps of a reduced model in modal coordinates z: z = x @ there for a state x, and x = z @ back, both (n, n).
 
-    The first numbers of z are real and imaginary part of each oscillating mode, the others the purely decaying modes.
-    grow: factor of a step for each of the first. fall: factor for each of the others.
+    The first numbers of z are real and imaginary parts of oscillating modes; the others are purely decaying modes.
+    grow: factor of a step for each oscillating mode. fall: factor for each decaying mode.
     start, end: increment of z by a unit of each force at the start and at the end of a step, shapes (j, n).
     """
 
@@ -197,7 +194,7 @@ class Decoupled:
     end: Float
 
     def march(self, before: Float, states: Float) -> None:
-        """Step in sequence: each step overwrites its input increment by the new state; z, (w, n) and (w, s, n)."""
+        """Do all steps; each overwrites its increment in `states`, (w, s, n), by the new z; before: z, (w, n)."""
         count = 2 * len(self.grow)
         for i in range(states.shape[1]):
             after = states[:, i]
@@ -208,7 +205,7 @@ class Decoupled:
 
 @dataclass(frozen=True)
 class _Modes:
-    """Rates [1/s], columns x of each mode and their inverse, and modal forces for one unit of each input."""
+    """Modes of A: rates [1/s], vectors as columns, inverse of these, and modal forces for one unit of each input."""
 
     roots: Complex
     vectors: Complex
@@ -217,13 +214,13 @@ class _Modes:
 
 
 def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Float]]:
-    """Return A, B of x' = A x + B f, the rows that read y and y' off x, in coordinates of energy, and rows for each q.
+    """Return A and B of x' = A x + B f in coordinates of energy, rows that read y and y' from x, and rows for each q.
 
-    The last: for each branch of each part, the coordinates in V of its internal displacement.
+    The rows for q give the coordinates in V of the internal displacement of each branch of each part.
     """
     _, damping, elastic, *stiffness = small.matrices
     squares, turn = np.linalg.eigh(elastic + sum(stiffness))
-    # Rigid motions of a free body have no stiffness, so their coordinate is the displacement.
+    # Rigid motions of a free body have no stiffness, so their coordinate is a displacement.
     held = squares > 1e-12 * squares[-1]
     scale = np.where(held, np.sqrt(np.maximum(squares, 0.0)), 1.0)
     force = turn.T @ small.force
@@ -270,7 +267,7 @@ def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Fl
 
 
 def _modal_run(roots: Complex, forces: Complex, lengths: Float, which: Any, law: "Law") -> Complex:
-    """Return the modes (t, m) from rest under modal forces (t, m)."""
+    """Return the modal coordinates (t, m) under modal forces (t, m), from rest."""
     states = np.zeros(forces.shape, dtype=complex)
     tables: dict[int, tuple[Complex, Complex, Complex]] = {}
     for n, length in enumerate(which.tolist()):
@@ -282,7 +279,7 @@ def _modal_run(roots: Complex, forces: Complex, lengths: Float, which: Any, law:
 
 
 def _modal_weights(roots: Complex, h: float) -> tuple[Complex, Complex, Complex]:
-    """e^{z}, and h (phi_1 - phi_2) and h phi_2 of z = roots h, for the force at the start and end of the step."""
+    """Return e^{z} for z = roots h, and h (phi_1 - phi_2) and h phi_2 for the force at start and end of a step."""
     z = roots * h
     small = np.abs(z) < 0.1
     safe = np.where(small, 1.0, z)

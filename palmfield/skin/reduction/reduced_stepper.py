@@ -1,7 +1,4 @@
-"""Steps a skin by a reduced model for a predicted load.
-
-It is exact in time, and a substep is one dense product.
-"""
+"""Step a skin by a reduced model for a predicted load, exactly in time; a substep is one dense product."""
 
 import itertools
 from collections.abc import Callable
@@ -36,21 +33,21 @@ if TYPE_CHECKING:
 
 MOST_VECTORS = 400
 BLOCK = 256
-"""Number of worlds that are stepped in one product."""
+"""Number of worlds in one product."""
 LEAP = 16
-"""Largest number of substeps in one product: its matrices are made again for each new pressure."""
+"""Largest number of substeps in one product. It is small because each new pressure needs new matrices."""
 MIXED = 64
-"""Largest number of loads for the displacement of the residual: the error of their mean square is then 10 %."""
+"""Largest number of random loads for the displacement of the residual: the error of their mean square is then 10 %."""
 
 
 @dataclass(frozen=True)
 class KnownLoad:
     """A predicted load, F(t) = shapes @ shares(t).
 
-    basis: load for which the model is made: the shapes, for any time course of each, or one Course.
-    shapes: [N], shape (n, m); trials: shares at the times of the steps, one array of shape (t, m) for each course from
-        rest under which models are compared.
-    spectrum: some of its frequencies [Hz] and, for each, its complex shares there, (m,), under e^{-i w t}.
+    basis: load for which the model is made: the shapes with any time course, or one Course.
+    shapes: [N], shape (n, m).
+    trials: courses from rest under which models are compared: shares at the times of the steps, (t, m) each.
+    spectrum: some frequencies of the load [Hz], each with its complex shares, (m,), under e^{-i w t}.
     """
 
     basis: Float | Course
@@ -60,20 +57,20 @@ class KnownLoad:
 
 
 class ReducedStepper(SkinStepper):
-    """Galerkin in the vectors V, exact in time for loads that change linearly within a substep; see SkinStepper.
+    """Galerkin model in vectors V, exact in time for loads that are linear within a substep; see SkinStepper.
 
-    Any load may be given, but the error estimate holds only for the course for which the model was made.
-    Unlike other steppers it takes substeps of any length; those of step_s cost least.
+    Any load may be given, but the error estimate is valid only for the course for which the model was made.
+    Unlike other steppers it allows substeps of any length; substeps of step_s are the fastest.
 
-    small: the body in the vectors, under j shapes of force; its outputs are the coordinates in V.
+    small: reduced model of the body under j shapes of force; its outputs are the coordinates in V.
     vectors: V, (n, r).
-    shares: shape (p, j): share of each shape of force in a pressure of 1 Pa at each point.
-    points: numbers of the quadrature points at which it takes pressure, shape (p,), None for all.
+    shares: share of each shape of force in a pressure of 1 Pa at each point, shape (p, j).
+    points: numbers of the quadrature points whose pressure is used, shape (p,), None for all.
     step_s: length of a substep [s].
-    error: relative, of the displacement of the surface under the predicted load, see `reduced_stepper`.
-    any_course: whether the model is made for any course of its load in time, from any moment on.
-    advance, start, end: next state advance @ x + f @ start + g @ end, from a state x and shapes of force f, g at both
-        ends of a substep; shapes (n, n), (j, n) and (j, n).
+    error: relative error of the displacement of the surface under the predicted load, see `reduced_stepper`.
+    any_course: whether the model is made for any time course of its load.
+    advance, start, end: the next state is advance @ x + f @ start + g @ end, for a state x and shapes of force f, g at
+        start and end of a substep; shapes (n, n), (j, n) and (j, n).
     """
 
     name = "reduced"
@@ -96,13 +93,13 @@ class ReducedStepper(SkinStepper):
         self.state_size, self.order = self.model.state_size, vectors.shape[1]
         self.unknowns = len(vectors)
         self.shares = np.ascontiguousarray(shares)
-        # Pressures are in single precision, and half the memory takes half the reading time
+        # Pressures are in single precision, so shares are too: half the memory takes half the reading time
         self._single_shares = self.shares.astype(np.float32)
         self._decoupled = self.model.decoupled(step_s)
         # Results for the last constant pressures
         self._fixed: tuple[Float | Float32, Float] | None = None
         self._leaps: tuple[Float | Float32, dict[int, tuple[Float, Float]]] | None = None
-        # Displacement and velocity in V are products of the first two blocks of a state; the other blocks are 0.
+        # Displacement and velocity in V depend only on the first two blocks of a state
         blocks = slice(0, self.order), slice(self.order, 2 * self.order)
         self._moved, self._moves = self.model.displaces[:, blocks[0]], self.model.moves[:, blocks[1]]
 
@@ -151,7 +148,7 @@ class ReducedStepper(SkinStepper):
             return self._read(states.reshape(-1, self.state_size), observe).reshape(worlds, substeps, 2, -1)
 
     def _leap(self, state: Float, loads: SurfaceLoads) -> None:
-        """Compute up to LEAP substeps at once, under constant pressures; the states in between are not needed."""
+        """Advance by up to LEAP substeps at once, under constant pressures, without the states in between."""
         worlds, substeps, patterns = loads.first.shape
         for begin in range(0, substeps, LEAP):
             count = min(LEAP, substeps - begin)
@@ -162,13 +159,13 @@ class ReducedStepper(SkinStepper):
                 if worlds <= BLOCK:
                     leap(slice(None))
                     continue
-                # In blocks of one size, so that results do not depend on the number of cores
+                # Blocks have one size, so that results do not depend on the number of cores
                 blocks = [slice(first, first + BLOCK) for first in range(0, worlds, BLOCK)]
                 share([(partial(leap, own),) for own in blocks], cores())
 
     def _ways(self, loads: SurfaceLoads, substeps: int) -> tuple[Float, Float]:
-        """Return the change of the state by each weight of a number of substeps, shape (w, 2 s, n), and the matrix of
-        the state, (n, n)."""
+        """Return the change of the state by a unit of each weight over a number of substeps, (w, 2 s, n), and the
+        matrix of the state, (n, n)."""
         known = self._leaps
         if known is None or known[0] is not loads.pressure_Pa:
             self._leaps = known = loads.pressure_Pa, {}
@@ -187,15 +184,13 @@ class ReducedStepper(SkinStepper):
 
     @staticmethod
     def _leap_of(state: Float, weights: Float, ways: Float, power: Float, own: slice) -> None:
-        """Compute some substeps of some worlds; weights: weights of pressures at their starts and ends, shape (w, 1, 2
-        s).
-        """
+        """Advance some worlds; weights: weights of pressures at starts and ends of substeps, shape (w, 1, 2 s)."""
         after = state[own] @ power
         after += weights[own, 0] @ ways[0] if len(ways) == 1 else np.matmul(weights[own], ways[own])[:, 0]
         state[own] = after
 
     def _march(self, state: Float, states: Float) -> None:
-        """Compute all substeps of some worlds; each overwrites its input by the new state; (w, n) and (w, s, n)."""
+        """Do all substeps; each overwrites its increment in `states`, (w, s, n), by the new state; state: (w, n)."""
         onwards, before = self.advance.T, state
         for i in range(states.shape[1]):
             after = states[:, i]
@@ -203,7 +198,7 @@ class ReducedStepper(SkinStepper):
             before = after
 
     def _forces(self, loads: SurfaceLoads) -> Float:
-        """Return force shapes (w, k, j) for patterns of pressure (w, k, q); one world if all have the same patterns."""
+        """Return shares of force shapes (w, k, j) for patterns (w, k, q); w = 1 if all worlds have equal patterns."""
         pressure, known = loads.pressure_Pa, self._fixed
         if loads.fixed and known is not None and known[0] is pressure:
             return known[1]
@@ -225,25 +220,25 @@ class ReducedStepper(SkinStepper):
             return self._read(state, reader)
 
     def motion(self, states: Float) -> Float:
-        """Return the displacement and velocity as coordinates in V, shape (s, 2, r), of states (s, state_size)."""
+        """Return displacement and velocity as coordinates in V, (s, 2, r), of states (s, state_size)."""
         result = np.empty((len(states), 2, self.order))
         np.matmul(states[:, : self.order], self._moved.T, out=result[:, 0])
         np.matmul(states[:, self.order : 2 * self.order], self._moves.T, out=result[:, 1])
         return result
 
     def _read(self, states: Float, reader: Reader) -> Float:
-        """See `read`; a reader without a matrix is that of `coordinates`."""
+        """See `read`; a reader without a matrix comes from `coordinates`."""
         if reader.matrix is None:
             return self.motion(states)
         if len(states) <= self.order:
             seen = self.motion(states).reshape(-1, self.order) @ reader.matrix
             return seen.reshape(-1, 2, reader.count)
-        # This order needs less work for many worlds and few output points
+        # This order of products needs less work for many worlds and few output points
         displaced = states[:, : self.order] @ (self._moved.T @ reader.matrix)
         return np.stack([displaced, states[:, self.order : 2 * self.order] @ (self._moves.T @ reader.matrix)], axis=1)
 
     def projected(self, pressure_Pa: Float, operator: sparse.csr_matrix) -> Projection:
-        """Return the model with one force, that of a pressure at its points (p,), and the readings of an operator."""
+        """Return the model with the force of a pressure at its points, (p,), and the readings of an operator."""
         small = self.small
         force = small.force @ (pressure_Pa @ self.shares)
         return Projection(small.matrices, small.materials, force[:, None], operator @ self.vectors)
@@ -286,19 +281,18 @@ def reduced_stepper(
     tolerance: float,
     pressures: LoadShapes | None = None,
 ) -> ReducedStepper:
-    """Small model of a layer for a predicted load, from one real factorisation.
+    """Return the stepper of a layer for a predicted load, from one real factorisation.
 
-    surface: operator of the displacement that must be right, csr, (S, n). point: point at one place of it, (1, n).
-    inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa].
-    step_s: length of a substep [s], also that of the shares of the predicted load.
+    surface: operator of the displacement that must be accurate, csr, (S, n). point: operator of one point, (1, n).
+    inputs: csr, shape (n, q), from inward pressure [Pa] to consistent nodal force [N].
+    step_s: length of a substep [s]; the shares of the predicted load have the same step.
     highest_Hz: highest relevant frequency [Hz]. tolerance: target relative error.
-    pressures: those that compose the load, so that only their points are evaluated; None for all points.
-    The error is the larger of two. The first is SAFETY times the change of the motion under the load from rest by the
-    last ROUND vectors or more, in L2 over times; it is the larger of the changes over the surface and at the point. The
-    second is the error of the steady motion at the frequencies of the load, over the surface: the displacement under
-    the residual, computed with the stored factors. Both refer to a smaller or a stiffer body than the true one, so they
-    are estimates, not bounds.
-    Raises SceneError if MOST_VECTORS do not reach the tolerance.
+    pressures: shapes that compose the load, so that only their points are evaluated; None for all points.
+    The error is the larger of two estimates. The first is SAFETY times the change of the motion under the load, from
+    rest, by the last ROUND or more vectors, in L2 over times, over the surface or at the point, whichever is larger.
+    The second is the error of the steady motion over the surface at the frequencies of the load: the displacement under
+    the residual, by the stored factors. Both come from a smaller or stiffer body than the true one, so they are no
+    bounds. Raises SceneError if MOST_VECTORS do not reach the tolerance.
     """
     small, vectors, error, any_course = known_model(
         system, cache.digest(load), lambda: load, surface, point, step_s, highest_Hz, tolerance
@@ -319,18 +313,18 @@ def known_model(
     highest_Hz: float,
     tolerance: float,
 ) -> tuple[Projection, Float, float, bool]:
-    """Return the body in its vectors V, V (n, r), the error, and whether the model is valid for any course of the load.
+    """Return the body in vectors V, V (n, r), the error, and whether the model is valid for any course of the load.
 
-    mark: the digest of the predicted load, which is made only if the cache (`palmfield.cache`) has no entry
+    mark: digest of the predicted load; the load is made only if the cache (`palmfield.cache`) has no entry
     """
 
     def make() -> cache.Arrays:
-        # Imported here, because cached models need none of them
+        # Imported here, because cached models do not need these modules
         from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
         from palmfield.skin.reduction.krylov import SHIFT, Krylov, grow_until
 
         load = ask_load()
-        # Only small products, which several BLAS threads slow down when other programs run.
+        # One BLAS thread, because several slow down these small products when other programs run
         with one_blas_thread:
             dynamics = DynamicStiffness(system, system.elimination_order())
             krylov = Krylov(dynamics, SHIFT * 2.0 * np.pi * highest_Hz, load.basis)
@@ -354,7 +348,7 @@ def known_model(
 
 
 class _Trial:
-    """Motions of a model of `order` vectors under the predicted load: coordinates in V, each of shape (t, order)."""
+    """Motions of a model with `order` vectors under the predicted load: coordinates in V, (t, order) each."""
 
     def __init__(self, krylov: "Krylov", load: KnownLoad, step_s: float) -> None:
         self.order = krylov.order
@@ -371,7 +365,7 @@ class _Trial:
             self.moved.append(np.array(moved))
 
     def change(self, other: "_Trial", krylov: "Krylov", surface: Any, point: Any) -> float:
-        """Relative difference to a model of fewer vectors, L2 over times, over the surface and at the point."""
+        """Return the relative difference from a model with fewer vectors, L2 over times: surface or point."""
         worst = 0.0
         for operator in (surface, point):
             small = operator @ krylov.vectors[:, : self.order]
@@ -385,7 +379,7 @@ class _Trial:
 
 
 def _defect(krylov: "Krylov", load: KnownLoad, surface: Any) -> float:
-    """Displacement of the residual over the displacement, of the steady motion, L2 over frequencies and surface."""
+    """Return displacement under the residual over displacement, in steady motion, L2 over frequencies and surface."""
     responses, pushes, weights = [], [], []
     projected = krylov.vectors.T @ load.shapes
     for f_Hz, shares in load.spectrum:
@@ -407,9 +401,9 @@ def _defect(krylov: "Krylov", load: KnownLoad, surface: Any) -> float:
 
 
 def _mixing(columns: int) -> Float:
-    """Sums of columns with random signs, (columns, at most MIXED), whose norm is about that of the columns themselves.
+    """Return factors of sums of columns with random signs, (columns, at most MIXED); the norm stays about the same.
 
-    They are loads with the same spectrum and other phases (Hutchinson, Commun. Stat. Simul. Comput. 19, 1990).
+    The sums are loads with the same spectrum and other phases (Hutchinson, Commun. Stat. Simul. Comput. 19, 1990).
     """
     if columns <= MIXED:
         return np.eye(columns)

@@ -1,4 +1,4 @@
-"""Reduced model of a body between inputs and outputs, whose transfer functions are right over a band."""
+"""Reduced model of a body between inputs and outputs, with accurate transfer functions over a frequency band."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ from palmfield.skin.reduction.reduced import Reduced
 from palmfield.types import Complex, Int
 
 WEAK = 0.1
-"""Share of the largest response to which the errors of weaker responses are related."""
+"""Share of the largest response that is the reference for errors of weaker responses."""
 
 
 def reduce(
@@ -29,18 +29,18 @@ def reduce(
     most_vectors: int = 1200,
     beyond: bool = False,
 ) -> Reduced:
-    """Reduced model of a body between its inputs and outputs, for any course of the inputs.
+    """Return a reduced model of a body between its inputs and outputs, for any time course of the inputs.
 
-    body: the full matrices, n unknowns, such as a SkinSystem.
+    body: full matrices with n unknowns, such as a SkinSystem.
     inputs: B, force [N] for one unit of each of j inputs, shape (n, j), sparse or dense.
     outputs: Y of the outputs y = Y u [m], shape (k, n).
-    band_Hz: lowest and highest frequency at which the model must be right, 0 <= low < high.
-    tolerance: target relative error of y, on a line s = d + i w over the band. 2 d is the spacing of its `points`, less
-    at low w, so sharper resonances are smoothed to this width. The error is relative to the largest response at this or
-    a higher frequency, or to WEAK times the largest response of all.
-    order: elimination order of the unknowns, shape (n,), for the factor; None lets SuperLU choose.
-    beyond: whether to grow once more after that, so that the model can be the reference for another model.
-    Raises SceneError for shapes that do not fit, a tolerance or band outside these ranges, or no end at most_vectors.
+    band_Hz: lowest and highest frequency at which the model must be accurate, 0 <= low < high.
+    tolerance: target relative error of y on a line s = d + i w over the band. 2 d is the spacing of its `points`, which
+        is less at low w; sharper resonances are smoothed to this width. The error is relative to the largest response
+        at this or a higher frequency, or to WEAK times the largest response of all.
+    order: elimination order of the unknowns, shape (n,), for the factor; None: SuperLU chooses.
+    beyond: whether to add one more block, so that the model can be the reference for another model.
+    Raises SceneError for shapes that do not fit, a tolerance or band outside these ranges, or too small most_vectors.
     """
     forces = np.asarray(inputs.toarray() if sparse.issparse(inputs) else inputs, dtype=float)
     read = sparse.csr_matrix(outputs)
@@ -52,7 +52,7 @@ def reduce(
         raise SceneError(f"band {band_Hz} Hz, tolerance {tolerance}: need 0 <= low < high, 0 < tolerance < 1, finite B")
     dynamics = DynamicStiffness(body, order)
     krylov = Krylov(dynamics, SHIFT * 2.0 * np.pi * high, forces)
-    # Resonances are narrower at low frequencies, at which unsupported bodies also drift.
+    # Points are dense at low frequencies, where resonances are narrower and unsupported bodies drift
     omega = 2.0 * np.pi * (low + (high - low) * np.linspace(0.0, 1.0, points) ** 3)
     weights = dynamics.weights(0.5 * np.gradient(omega) + 1j * omega)
 

@@ -1,19 +1,19 @@
-"""Modes of a viscoelastic body for every course of given shapes of load: block Lanczos and Ritz vectors.
+"""Modes of a viscoelastic body for any time course of given shapes of load: block Lanczos and Ritz vectors.
 
-With A = E + (1 + 1/2 sum_i g_i) K + w^2 M at one real rate w, factorised once, the space is that of A^-1 B,
+A = E + (1 + 1/2 sum_i g_i) K + w^2 M is factorised once, at a real rate w. The space consists of A^-1 B,
 (A^-1 M) A^-1 B, and so on, orthonormal in the mass (load-dependent Ritz vectors: Wilson, Yuan & Dickens, Earthq. Eng.
-Struct. Dyn. 10, 1982; Nour-Omid & Clough, ibid. 12, 1984). In the eigenvectors of E + c K in it, with c of the
-material at a middle frequency, mass and that sum are diagonal. In nearly incompressible soft matter E holds almost no
-energy, so that it is nearly diagonal as well, and each mode moves by itself.
+Struct. Dyn. 10, 1982; Nour-Omid & Clough, ibid. 12, 1984). The modes are the eigenvectors of E + c K in this space,
+with c of the material at a middle frequency; they make the mass and this sum diagonal. In nearly incompressible soft
+matter E has almost no energy. So K is nearly diagonal as well, and the modes are uncoupled.
 
-Several relaxation laws make a sum of as many stiffnesses. Modes make it diagonal at one frequency only, and sheets
-share a load differently when they have relaxed. The space then also begins with responses of the relaxed body. Strong
-and weak modes are separated by the motion of all together, and their coupling is kept. They are turned to the
-eigenvectors of the matrix of a substep, so that the coupling acts through the previous state alone.
+With several relaxation laws the stiffness is a sum of several matrices. Modes make it diagonal only at one frequency,
+and relaxed sheets share a load differently. Then the space also begins with responses of the relaxed body. Strong and
+weak modes are separated by the motion of all modes together, and the coupling is kept. The modes are rotated to the
+eigenvectors of the matrix of a substep, so that the coupling depends only on the previous state.
 
-Waves of 1 kHz are long in skin, so that the space needs far more vectors than the motion has. Once it is complete, the
-motion by loads of the class at all frequencies is known. The sums of modes with most of its energy (proper orthogonal
-decomposition in the frequency domain: Willcox & Peraire, AIAA J. 40, 2002) are turned to modes once more.
+Waves of 1 kHz are long in skin, so the space needs far more vectors than the motion. When the space is complete, the
+motion under loads of the class is computed at many frequencies. The sums of modes with most of the energy (proper
+orthogonal decomposition in the frequency domain: Willcox & Peraire, AIAA J. 40, 2002) are converted to modes again.
 """
 
 from collections.abc import Iterable, Sequence
@@ -35,46 +35,45 @@ if TYPE_CHECKING:
     from palmfield.skin.fem.factor import AnyFactor
 
 RATE_Hz = 400.0
-"""Rate w / 2 pi [Hz]. At a lower rate short waves do not converge; at a higher one vectors stay near the face."""
+"""Rate w / 2 pi [Hz]. At a lower rate short waves do not converge; at a higher rate vectors stay near the face."""
 RELAXED_Hz = 100.0
-"""Rate w / 2 pi for several laws, in the relaxed state [Hz]."""
+"""Rate w / 2 pi for the relaxed body, with several laws [Hz]."""
 PARALLEL = 0.01
-"""Part of a block below which the new part of a direction, for loads of the sizes of the class, is left out."""
+"""Share of a block below which the new part of a direction is left out, for loads with the sizes of the class."""
 COUPLED, COUPLED_SHARE = 0.01, 0.5
-"""Change of the harmonic motion that omitted coupling may cause, at least; and its share in the change by omitted weak
-modes, where that is more."""
+"""Allowed change of the harmonic motion by omitted coupling: the larger of the first number, and the second times the
+share of the motion in omitted weak modes."""
 COUPLED_Hz = 200.0, 50.0, 800.0
-"""Frequencies at which that change is measured; for one law only at the first."""
+"""Frequencies at which this change is computed [Hz]; for one law only the first."""
 UNCOUPLED_Hz = 100.0
-"""Frequency at which modes are not coupled: between the start or end of a stimulus and its modulation."""
+"""Frequency at which modes are uncoupled [Hz]: between those of the start or end of a stimulus and its modulation."""
 CHUNK, LONG = 256, 2048
-"""Vectors, and rows of vectors, of a product that a thread takes at a time: fixed, so that threads change no sums."""
+"""Vectors, and rows of vectors, of a product in one thread at a time; fixed, so that sums do not depend on threads."""
 FREQUENCIES_Hz: Float = np.concatenate([[0.0], np.geomspace(20.0, 4000.0, 32)])
-"""Frequencies at which models are compared."""
+"""Frequencies at which models are compared [Hz]."""
 HIGHEST_Hz = 4000.0
-"""Frequency above which modes are omitted, since they would be stiff, coupled pressure waves."""
+"""Frequency above which modes are omitted [Hz], because they are stiff, coupled pressure waves."""
 SAFETY, TOGETHER = 1.25, 1.4
-"""Factor on that change; and a second one for several laws, whose modes converge more slowly from block to block."""
+"""Factor on the change between models; second factor for several laws, whose modes converge more slowly."""
 LINES_Hz: Float = np.linspace(0.0, 2500.0, 251)
-"""Frequencies at which the motion is summed up to separate strong modes from weak ones."""
+"""Frequencies of the motion that separates strong modes from weak modes [Hz]."""
 CORNER_Hz = 500.0
-"""Frequency above which the spectrum of the loads falls as 1/f there."""
+"""Frequency above which the spectrum of the loads for this motion falls as 1/f [Hz]."""
 TRIALS = 16
-"""Random sums of the shapes under which two models are compared."""
+"""Number of random sums of the shapes under which two models are compared."""
 
 
 @dataclass(frozen=True)
 class RitzModes:
-    """Modes V of a body of p relaxation laws, orthonormal in the mass.
+    """Modes V of a body with p relaxation laws, orthonormal in the mass.
 
     vectors: V in single precision, shape (n, r).
     elastic, stiffness: diagonals of V^T E V and of each V^T K_p V, shapes (r,) and (p, r).
-    coupling: matrices without diagonal that couple the modes, in single precision, shape (c, r, r); none where each
-        moves by itself.
-    shares: shares of 1 and of the stiffening of each law, the factors of these matrices in the dynamic stiffness, (c,
-    1 + p).
+    coupling: c matrices without diagonal that couple the modes, in single precision, (c, r, r); c = 0 for uncoupled
+        modes. shares: factors of 1 and of the stiffening of each law in the factor of each coupling matrix in the
+        dynamic stiffness, (c, 1 + p).
     motion, change: harmonic motion of the surface under random sums of the shapes, and its change by the last block of
-        vectors, the modes left out and the coupling left out, rms [m], at FREQUENCIES_Hz, shapes (f,).
+        vectors, omitted modes and omitted coupling, rms [m], at FREQUENCIES_Hz, shapes (f,).
     """
 
     vectors: Float32
@@ -86,8 +85,9 @@ class RitzModes:
     change: Float
 
     def errors(self, corner_Hz: float) -> tuple[float, float]:
-        """Return the estimated relative errors of displacement and velocity, rms over surface and spectrum. The
-        spectrum of the loads falls as 1/f above a corner frequency, like that of sudden changes."""
+        """Return the estimated relative errors of displacement and velocity, rms over surface and spectrum.
+
+        The spectrum of the loads falls as 1/f above a corner frequency, as for sudden changes."""
         spectrum = 1.0 / (1.0 + (FREQUENCIES_Hz / corner_Hz) ** 2)
         rates = spectrum * FREQUENCIES_Hz**2
 
@@ -99,14 +99,14 @@ class RitzModes:
 
 
 def refusal(system: SkinSystem) -> str | None:
-    """Return why a body cannot have modes, in words, or None."""
+    """Return the reason why a body cannot have modes, in words, or None."""
     if system.damping.nnz:
         return "absorbing sides or dashpots couple the modes"
     return None
 
 
 def shifted(system: SkinSystem, *, relaxed: bool = False) -> sparse.csr_matrix:
-    """Return A, symmetric positive definite, shape (n, n) [N/m]; relaxed: branches relaxed, at a lower rate."""
+    """Return A, symmetric positive definite, (n, n) [N/m]; relaxed: for relaxed branches and a lower rate."""
     laws = (part.material.relaxation.branches for part in system.parts)
     weights = [1.0 if relaxed else 1.0 + 0.5 * sum(ratio for ratio, _ in law) for law in laws]
     stiff = sum(weight * part.stiffness for weight, part in zip(weights, system.parts, strict=True))
@@ -125,23 +125,22 @@ def ritz_modes(
     stiffened: Sequence[float],
     relaxed: Float,
 ) -> RitzModes:
-    """Return the modes of a body for loads that are sums of some forces [N], shape (n, m), with shares of given rms
-    sizes, shape (m,).
+    """Return the modes of a body for loads that are sums of forces.
 
-    factor: as returned by `shifted(system)`. blocks: vectors of the space for each force, at least 2, or 4 of several
-    laws.
-    omitted: share of the energy norm of the motion that the weakest modes, which are omitted, may have.
-    surface: operator of the displacement that must be right, csr, shape (S, n).
-    stiffened: for coupled modes, the factor of G / G_r of each law in a substep
-        (palmfield.skin.fem.generalised_alpha), shape (p,).
-    relaxed: for several laws, the solutions of `shifted(system, relaxed=True)` for forces * sizes, shape (n, m), or (n,
-        0). Relaxed sheets share a load differently, for which powers of A^-1 M cannot compensate.
+    forces: [N], shape (n, m). sizes: rms share of each force, shape (m,). factor: factor of `shifted(system)`.
+    blocks: number of vectors of the space for each force, at least 2, or 4 with several laws.
+    omitted: largest share of the energy norm of the motion in the omitted, weakest modes.
+    surface: operator of the displacement that must be accurate, csr, shape (S, n).
+    stiffened: for coupled modes, the factor G / G_r of each law in a substep (palmfield.skin.fem.generalised_alpha),
+        shape (p,).
+    relaxed: for several laws, the solutions with `shifted(system, relaxed=True)` for forces * sizes, (n, m), or (n, 0).
+        They are needed because relaxed sheets share a load differently; powers of A^-1 M do not represent this.
     """
     materials = [part.material for part in system.parts]
-    # With the stiffness of the materials at a middle frequency, at which modes are not coupled
+    # Modes are uncoupled for the stiffness of the materials at a middle frequency
     means = laws_at(materials, -2j * np.pi * UNCOUPLED_Hz).real
     space, ends = _lanczos(system.mass, factor, forces * sizes, blocks, relaxed)
-    # The matrix of the first law is the remainder of the sum and need not be stored
+    # The matrix of the first law follows from the sum, so it is not stored
     own = [_projected(matrix, space) for matrix in (system.elastic, *(part.stiffness for part in system.parts[1:]))]
     total = _projected(system.parts[0].stiffness, space)
     total *= means[1]
@@ -178,7 +177,7 @@ def ritz_modes(
     coupled: list[int] = []
     coupling = modes.neglected(coupled, force, watched)
     if not coupling <= allowed:
-        # The matrix of a substep is then diagonal, and coupling forces come from the state before
+        # The matrix of a substep is then diagonal, and coupling forces depend on the previous state
         last = np.array([1.0, *stiffened])
         modes, inner = _turned(np.eye(len(modes.values)), modes.of(last), modes.matrices, last, materials)
         turn, force, watched = turn @ inner, inner.T @ force, watched @ inner
@@ -189,7 +188,7 @@ def ritz_modes(
     after = modes.answers(coupled, force, watched)
     scale = np.sqrt(TRIALS * seen.shape[0])
     motion = np.linalg.norm(after, axis=(1, 2)) / scale
-    # With one block less and uncoupled modes; the coupling by the laws changes this difference little
+    # The difference to one block less is that of uncoupled modes; coupling changes it little
     changes = [np.linalg.norm(change, axis=(1, 2)) / scale for change in (answers[1] - answers[0], after - before)]
     change = np.sqrt(changes[0] ** 2 + changes[1] ** 2 + (coupling * motion) ** 2)
     change *= TOGETHER if len(materials) > 1 else 1.0
@@ -209,11 +208,11 @@ def laws_at(materials: Sequence[Material], s: complex) -> Complex:
 
 
 class _Modes:
-    """Stiffnesses of a body in the eigenvectors of a sum of them.
+    """Stiffnesses of a body in the eigenvectors of a weighted sum of them.
 
-    values: values of the sum, (r,). matrices: elastic, and of each law except the first, (r, r).
-    means: means of the elastic one and each law in the sum, (1 + p,).
-    rigidities: diagonals of the elastic stiffness and of that of each law, (1 + p, r).
+    values: eigenvalues of the sum, (r,). matrices: elastic stiffness, and that of each law except the first, (r, r).
+    means: weights of the elastic stiffness and of each law in the sum, (1 + p,).
+    rigidities: diagonals of the elastic stiffness and of the stiffness of each law, (1 + p, r).
     """
 
     def __init__(self, values: Float, matrices: Sequence[Float], means: Float, materials: Sequence[Material]) -> None:
@@ -221,25 +220,25 @@ class _Modes:
         self.rigidities = _rigidities(values, [np.diagonal(matrix) for matrix in matrices], means)
 
     def share(self, number: int) -> Float:
-        """Factors with which one of the matrices adds to the dynamic stiffness besides `values`, from `laws_at`."""
+        """Return the coefficients of `laws_at` in the factor of one matrix in the dynamic stiffness, (1 + p,)."""
         row = 0 if number == 0 else number + 1
         share = np.eye(len(self.means))[row]
         share[1] = -self.means[row] / self.means[1]
         return share
 
     def between(self, number: int) -> Float:
-        """Return the coupling by one of the matrices, (r, r)."""
+        """Return one of the matrices without its diagonal, (r, r)."""
         return self.matrices[number] - np.diag(np.diagonal(self.matrices[number]))
 
     def of(self, means: Float) -> Float:
-        """Another sum, (r, r)."""
+        """Return the sum with other weights, (r, r)."""
         result = np.diag(means[1] / self.means[1] * self.values)
         for number, matrix in enumerate(self.matrices):
             result += float(self.share(number) @ means) * matrix
         return result
 
     def at(self, f_Hz: float, coupled: Iterable[int], kind: type = complex) -> Complex:
-        """Dynamic stiffness under e^{-i w t}, (r, r), of the diagonals and what some of the matrices couple."""
+        """Return the dynamic stiffness under e^{-i w t}, (r, r), from all diagonals and some coupling matrices."""
         s = -2j * np.pi * f_Hz
         laws = laws_at(self._materials, s)
         result: Complex = np.zeros((len(self.values), len(self.values)), kind)
@@ -249,13 +248,13 @@ class _Modes:
         return result
 
     def answers(self, coupled: Sequence[int], force: Float, watched: Float) -> Complex:
-        """Return the harmonic motion of what is seen, shape (f, S, trials), at FREQUENCIES_Hz."""
+        """Return the harmonic motion of the surface, shape (f, S, trials), at FREQUENCIES_Hz."""
         if not coupled:
             return _answers(self._materials, self.rigidities, force, watched)
         return np.array([watched @ np.linalg.solve(self.at(f, coupled), force) for f in FREQUENCIES_Hz])
 
     def neglected(self, coupled: Sequence[int], force: Float, watched: Float) -> float:
-        """Largest relative change of the harmonic motion at COUPLED_Hz by the coupling of the other matrices."""
+        """Return the largest relative change of the harmonic motion at COUPLED_Hz by all other coupling matrices."""
         worst = 0.0
         for f in COUPLED_Hz if len(self.means) > 2 else COUPLED_Hz[:1]:
             stiffnesses = self.at(f, range(len(self.matrices))), self.at(f, coupled)
@@ -267,21 +266,21 @@ class _Modes:
 def _turned(
     space: Float, total: Float, matrices: Sequence[Float], means: Float, materials: Sequence[Material]
 ) -> tuple[_Modes, Float]:
-    """Modes of a sum of stiffnesses in orthonormal sums of vectors, space (n, r), and the same turned to them."""
+    """Return the modes of a sum of stiffnesses in a space (n, r) of orthonormal vectors, and the space of the modes."""
     values, inner = left_by_interrupts(lambda: np.linalg.eigh(space.T @ total @ space))
     turn = space @ inner
     return _Modes(values, [turn.T @ matrix @ turn for matrix in matrices], means, materials), turn
 
 
 def _rigidities(values: Float, diagonals: Sequence[Float], means: Float) -> Float:
-    """Diagonals of the elastic stiffness and of each law, (1 + p, r), from those of all except the first law."""
+    """Return the diagonals of elastic stiffness and each law, (1 + p, r), from the sum and all except the first law."""
     elastic, *others = diagonals
     first = (values - np.delete(means, 1) @ np.array(diagonals)) / means[1]
     return np.array([elastic, first, *others])
 
 
 def _motion_alone(materials: Sequence[Material], rigidities: Float, pushed: Float) -> Float:
-    """Return the products of the motions of modes that move by themselves, over all loads and LINES_Hz, (r, r).
+    """Return the products of the motions of uncoupled modes, summed over loads and LINES_Hz, (r, r).
 
     rigidities: see `_Modes`; pushed: forces of loads on the modes, (r, m)
     """
@@ -289,18 +288,18 @@ def _motion_alone(materials: Sequence[Material], rigidities: Float, pushed: Floa
     answers = np.array([1.0 / (rate**2 + laws_at(materials, rate) @ rigidities) for rate in s])
     answers *= 1.0 / np.hypot(1.0, LINES_Hz[:, None] / CORNER_Hz)
     parts = np.concatenate([answers.real, answers.imag])
-    # Products of pushes and responses
+    # Products of forces and of responses
     return (pushed @ pushed.T) * (parts.T @ parts)
 
 
 def _motion_together(modes: _Modes, pushed: Float, trials: Float, seen: Float) -> tuple[Float, Complex]:
-    """Return the same of modes that are coupled by the laws, at FREQUENCIES_Hz, and the harmonic motion under trials.
+    """Return the same products for coupled modes, (r, r), and the harmonic motion under trials, (f, S, trials).
 
-    trials: sums of the loads, (m, trials); seen: reads the modes, (S, r). Returns (r, r) and (f, S, trials).
+    Both at FREQUENCIES_Hz. trials: sums of the loads, (m, trials); seen: surface motion of the modes, (S, r)
     """
     gram = np.zeros((len(pushed), len(pushed)))
     answers = []
-    # Single precision, because a relative error of 1e-3 is sufficient
+    # Single precision is enough, because a relative error of 1e-3 is allowed
     loads = pushed.astype(np.complex64)
     for f, width in zip(FREQUENCIES_Hz, np.gradient(FREQUENCIES_Hz), strict=True):
         stiffness = modes.at(f, range(1, len(modes.matrices)), np.complex64)
@@ -312,10 +311,10 @@ def _motion_together(modes: _Modes, pushed: Float, trials: Float, seen: Float) -
 
 
 def _strongest(gram: Float, rigidities: Float, omitted: float) -> Float:
-    """Return the sums of modes that take most part in the motion: orthonormal, shape (r, k).
+    """Return the orthonormal sums of modes with the largest share in the motion, shape (r, k).
 
-    gram: products of the modes' motions, (r, r); rigidities: see `_Modes`
-    omitted: share of the motion in the energy norm, over loads and spectrum
+    gram: products of the motions of modes, (r, r); rigidities: see `_Modes`
+    omitted: share of the motion to omit, in the energy norm, over loads and spectrum
     """
     size = np.sqrt(rigidities.sum(axis=0) + (2.0 * np.pi * RATE_Hz) ** 2)
     values, vectors = left_by_interrupts(lambda: np.linalg.eigh(gram * np.outer(size, size)))
@@ -327,10 +326,10 @@ def _strongest(gram: Float, rigidities: Float, omitted: float) -> Float:
 def _lanczos(
     mass: sparse.csr_matrix, factor: "AnyFactor", forces: Float, blocks: int, also: Float
 ) -> tuple[Float32, list[int]]:
-    """Return the space, orthonormal in the mass, shape (n, r), and how many vectors it has after each block.
+    """Return the space, orthonormal in the mass, shape (n, r), and the number of vectors after each block.
 
-    also: motions in the first block as well as the solutions for the forces, (n, a)
-    Directions of a block keep the size that the forces give them, so that those of small ones are left out.
+    also: motions in the first block in addition to the solutions for the forces, (n, a)
+    Directions of a block keep the size that results from the forces, so that small directions are left out.
     """
     space = np.empty((forces.shape[0], blocks * forces.shape[1]), dtype=np.float32, order="F")
     ends, count, right = [], 0, forces
@@ -347,7 +346,7 @@ def _lanczos(
             break
         sizes = np.sqrt(squares[kept])
         new, heavy = new @ (turn[:, kept] / sizes), heavy @ (turn[:, kept] / sizes)
-        # Again, because rounding left more of the basis in small directions
+        # Repeated, because rounding left parts of the basis in small directions
         _remove(basis, new, heavy)
         space[:, count : count + new.shape[1]] = new
         count += new.shape[1]
@@ -357,7 +356,7 @@ def _lanczos(
 
 
 def _remove(basis: Float32, vectors: Float, heavy: Float) -> None:
-    """Subtract from vectors, shape (n, m), in place, their part in an orthonormal basis; heavy: mass @ vectors."""
+    """Subtract from vectors, (n, m), in place, their part in an orthonormal basis; heavy: mass @ vectors."""
     single = heavy.astype(np.float32)
     shares = np.empty((basis.shape[1], vectors.shape[1]), np.float32)
     in_parts(len(shares), CHUNK, lambda part: np.matmul(basis[:, part].T, single, out=shares[part]))
@@ -373,7 +372,7 @@ def _projected(matrix: sparse.csr_matrix, space: Float32) -> Float:
     result = np.empty((space.shape[1],) * 2)
 
     def project(part: slice) -> None:
-        # The lower triangle only
+        # Only the lower triangle
         result[part.start :, part] = space[:, part.start :].T @ (matrix @ space[:, part]).astype(np.float32)
         result[part, part.start :] = result[part.start :, part].T
 
@@ -382,7 +381,7 @@ def _projected(matrix: sparse.csr_matrix, space: Float32) -> Float:
 
 
 def _answers(materials: Sequence[Material], rigidities: Float, pushed: Float, seen: Float) -> Complex:
-    """Return the harmonic motion of what is seen at FREQUENCIES_Hz, shape (f, S, trials), each mode by itself."""
+    """Return the harmonic motion of the surface at FREQUENCIES_Hz for uncoupled modes, shape (f, S, trials)."""
     result = []
     for f in FREQUENCIES_Hz:
         s = -2j * np.pi * f

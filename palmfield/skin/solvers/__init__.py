@@ -1,4 +1,4 @@
-"""The solvers behind `palmfield.skin.solve`, by their names there."""
+"""Solvers of `palmfield.skin.solve`; each module has the name of its solver."""
 
 import lazy_loader
 

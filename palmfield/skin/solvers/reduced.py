@@ -1,8 +1,8 @@
-"""Skin problems by reduced models of wedges: for loads that keep their shape, exact in time.
+"""Skin problems by reduced models of wedges, exact in time, for loads that consist of few patterns.
 
-A spot at rest, or pressures that are sums of a few patterns, push with few shapes. The matrices of the mesh are
-projected on the Krylov space of those (palmfield.skin.reduction.krylov), which takes one factorisation and some tens of
-solves in place of a solve for every step. Meshes and their errors are those of palmfield.skin.solvers.wedges.
+A spot at rest is one pattern. The matrices of the mesh are projected on the Krylov space of the patterns
+(palmfield.skin.reduction.krylov). This needs one factorisation and some tens of solves instead of a solve for every
+step. Meshes and their errors are those of palmfield.skin.solvers.wedges.
 """
 
 import itertools
@@ -33,21 +33,21 @@ from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int
 
 MOST_SHAPES = 8
-"""Largest number of patterns of a load for a small model."""
+"""Largest number of patterns of a load for a reduced model."""
 
 MOST_VECTORS = 300
 SHARE = 0.1
-"""Largest part of the target accuracy for the error of the reduction."""
+"""Largest share of the target accuracy for the error of the reduction."""
 
 VECTORS = 33.0
 """Approximate number of vectors of a model."""
 
 SAME_LENGTH = 1e-9
-"""Largest difference of the lengths of two equal steps, relative to the duration of the run: round-off."""
+"""Largest difference of two step lengths that count as equal, over the duration of the run: round-off."""
 
 
 def refusal_reduced(body: Body, load: Load) -> str | None:
-    """Return why this solver refuses a problem, in a sentence, or None."""
+    """Return the reason why this solver cannot solve a problem, in a sentence, or None."""
     if isinstance(load, Spot) and len(np.unique(load.centres(), axis=0)) > 1:
         return "a reduced model needs loads of constant shape, but this spot moves"
     if isinstance(load, Traction) and at_least(load) > MOST_SHAPES:
@@ -58,14 +58,14 @@ def refusal_reduced(body: Body, load: Load) -> str | None:
 
 
 def at_least(load: Traction) -> int:
-    """Number of patterns of the pressure, counted up to MOST_SHAPES + 1 in a random mixture of the points."""
+    """Return the number of patterns of the pressure, at most MOST_SHAPES + 1, counted in random sums of the points."""
     mixture = np.random.default_rng(0).standard_normal((load.pressure_Pa.shape[1], MOST_SHAPES + 1))
     sizes = np.linalg.svd(load.pressure_Pa @ mixture, compute_uv=False)
     return int((sizes > 1e-6 * sizes.max(initial=0.0)).sum())
 
 
 def patterns(load: Traction) -> tuple[Float, Float]:
-    """Patterns (m, n) of the pressure, and their shares over the load's times (f, m), up to 1e-6 of the largest."""
+    """Return the patterns of the pressure, (m, n), down to 1e-6 of the largest, and their shares over time, (f, m)."""
     left, sizes, right = np.linalg.svd(load.pressure_Pa, full_matrices=False)
     kept = sizes > 1e-6 * sizes.max(initial=0.0)
     return right[kept], left[:, kept] * sizes[kept]
@@ -78,10 +78,9 @@ def cost_reduced(problem: SkinProblem) -> float:
 
 
 def solve_reduced(problem: SkinProblem) -> Motion:
-    """Return the displacement and velocity of the skin under a load that keeps its shape, from rest; on the CPU.
+    """Return the displacement and velocity of the skin under a load of few patterns, from rest, on the CPU.
 
-    Raises SceneError if refusal_reduced returns a reason, for an inverted element, points off the face, and bad
-    numbers.
+    Raises SceneError if refusal_reduced returns a reason, for an inverted element, points off the face, bad numbers.
     """
     begin = time.perf_counter()
     body, load, accuracy, judged = problem.body, problem.load, problem.accuracy, problem.judged
@@ -122,7 +121,7 @@ def _run(
     tolerance: float,
     judged: int,
 ) -> tuple[MeshSolution, int, Float]:
-    """The solution on one mesh, the vectors it took, and the errors that are left by what the last of them changed."""
+    """Return the solution on one mesh, its number of vectors, and its errors, from the change by the last vectors."""
     system = build(body, discretisation.sizes)
     mesh = system.mesh
     if isinstance(load, Spot):
@@ -157,15 +156,15 @@ def _run(
     try:
         moved, _ = grow_until(krylov, motion, change, tolerance, MOST_VECTORS)
     except TooManyVectorsError as limit:
-        # The completed work still gives a result, with the error of the last vectors
+        # The largest model still gives a result, with the error of its last vectors
         moved = cast(Float, limit.reached)
     return on_mesh(system, moved[0], moved[1], normals), krylov.order, SAFETY * changes[-1]
 
 
 def course(load: Load, weights: Float, requested: Float) -> tuple[Float, Float, Int]:
-    """Times at which load or motion is needed (c,), the weights there (c, m), and the rows of the requested times (t,).
+    """Return times of load or output (c,), weights at these times (c, m), and the rows of the requested times (t,).
 
-    weights: weights at the times of the load, (f, m); they stay after the last
+    weights: weights at the times of the load, (f, m); they are constant after the last
     """
     knots = load.times_s
     clock = np.unique(np.concatenate([knots, requested[requested > knots[0]]]))
@@ -174,7 +173,7 @@ def course(load: Load, weights: Float, requested: Float) -> tuple[Float, Float, 
 
 
 def common_length(clock: Float) -> float:
-    """Return the most common distance of neighbouring times [s], to round-off; 1 for a single time."""
+    """Return the most common difference of neighbouring times [s], to round-off; 1 for a single time."""
     if len(clock) < 2:
         return 1.0
     lengths = np.diff(clock)
@@ -184,10 +183,10 @@ def common_length(clock: Float) -> float:
 
 
 def carried(stepper: ReducedStepper, read: Float, clock: Float, weights: Float, law: str) -> Float:
-    """Return the displacement [m] and velocity [m/s] from rest at the times of the clock, shape (c, 2, m).
+    """Return displacement [m] and velocity [m/s], from rest, at the times of the clock, shape (c, 2, m).
 
-    weights: weights of the inputs at these times, (c, k), "linear" in between or "held" at that of the earlier one
-    Steps of one length are taken in one call.
+    weights: weights of the inputs at these times, (c, k), "linear" in between or "held" at the earlier value
+    Consecutive steps of equal length are one call of the stepper.
     """
     reader = stepper.reader(read)
     motion = np.zeros((len(clock), 2, reader.count))

@@ -1,7 +1,7 @@
-"""Skin problems by quadratic wedges: generalised-alpha, for any slab or layer.
+"""Skin problems by quadratic wedges with generalised-alpha, for any slab or layer.
 
-Sizes come from the target accuracy, then from the differences of coarser runs (`refine_until_converged`): two steps,
-two extents if sides absorb, more rows in depth, and two meshes. The error is the sum of the estimates from these
+Sizes come first from the target accuracy, then from differences of runs (`refine_until_converged`): two steps, two
+extents if sides absorb, more rows in depth, and two meshes. The error is the sum of the estimates from these
 differences.
 """
 
@@ -42,7 +42,7 @@ from palmfield.types import Float
 
 
 def refusal_wedges(body: Body, load: Load) -> str | None:
-    """Return why this solver refuses a problem, in a sentence, or None."""
+    """Return the reason why this solver cannot solve a problem, in a sentence, or None."""
     if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
         return NEEDS_AXIS
     turned = refusal_of_spot(body, load)
@@ -60,12 +60,12 @@ def refusal_wedges(body: Body, load: Load) -> str | None:
 def cost_wedges(problem: SkinProblem) -> float:
     """Return the predicted time [s] on one core.
 
-    The time of a run is known to a factor of 1.5, the sizes of mesh and steps that it needs only to one of 4.
+    The time of a given run is right to a factor of 1.5; the predicted sizes of mesh and steps only to a factor of 4.
     """
     body, load, accuracy = problem.body, problem.load, problem.accuracy
     span = max(float(problem.times[-1]) - float(load.times_s[0]), 0.0)
-    # The first step is halved about twice; the runs before the last cost as much as the last in total, and some
-    # problems are solved again with a finer mesh.
+    # The first step is halved about twice. All earlier runs together cost as much as the last, and some problems are
+    # solved again with a finer mesh.
     steps = 4.0 * span / first_step(body, load, accuracy)
     return 0.05 + 3.0 * run_cost(last_dofs(problem), steps)
 
@@ -85,9 +85,8 @@ def last_dofs(problem: SkinProblem) -> float:
 
 
 OFTEN_DOFS, THIN = 4.5e3, 0.4
-"""Typical least number of unknowns of the last mesh of a slab, since two meshes of few elements give poor estimates.
-Also the ratio of depth to width of the load below which this number grows: 22 and 12 times at 0.13 and 0.22, 2 and 11
-at 0.3 (4 maps)."""
+"""Typical least number of unknowns of the last mesh of a slab (meshes of few elements give poor estimates), and ratio
+of depth to load width below which it grows. It grew by 22 and 12 at ratios 0.13 and 0.22, and by 2 and 11 at 0.3."""
 
 
 def run_cost(dofs: float, steps: float) -> float:
@@ -96,26 +95,26 @@ def run_cost(dofs: float, steps: float) -> float:
 
 
 FINER_THAN_REQUESTED = 0.6
-"""Share of the requested edges below which the triangles of a layer are replaced by coarser ones."""
+"""Ratio of actual to requested edges below which coarser triangles replace the triangles of a layer."""
 
 OVERDAMPED = 2.0
-"""Speed of a wave over that without dashpots, above which it dies out within its length and steps need not follow."""
+"""Largest relevant ratio of wave speed with dashpots to that without: faster waves decay within one wavelength."""
 
 STEP_ORDER = np.array([1.5, 1.0, 1.5])
-"""Orders, by QUANTITIES, at which the error of generalised-alpha falls with its step, at least. The limit is 2, but the
-few steps of a load shorter than the period of the body do not reach it: with 2 a ramp in 6 steps gave 0.6 of the error.
-A sudden velocity has pressure waves that no step resolves."""
+"""Least orders of the error of generalised-alpha in the step, by QUANTITIES. The order is 2 for small steps, but less
+if the load has few steps: with 2, the estimate for a ramp in 6 steps was 0.6 of the error. A sudden velocity has
+pressure waves that no step resolves."""
 
 TOGETHER = 32
-"""Substeps that are taken in one call."""
+"""Number of substeps in one call."""
 
 NARROWEST = 3.0
-"""Least number of such edges across a patch for this replacement."""
+"""Least number of requested edges across a patch for this replacement."""
 
 GROWTH, EDGE_GROWTH, ENDLESS_GROWTH = 1.7, 6.0, 10.0
-"""Ratio of the unknowns of the last mesh to the first estimate, at 5 %: 1.3 to 2.4 on four discs of 2 to 10 %; 4 to 30
-on three with a singular fixed edge; 7 to 20 on three endless slabs, widened. The triangles of a layer are quartered
-first."""
+"""Ratio of the unknowns of the last mesh to the first estimate, at 5 %: 1.3 to 2.4 on four discs of 2 to 10 %, 4 to 30
+on three discs with a singular fixed edge, and 7 to 20 on three infinite slabs, which are widened. The triangles of a
+layer are quartered first."""
 
 
 def solve_wedges(
@@ -164,9 +163,9 @@ def solve_wedges(
 
 
 def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, sizes: Sizes | None = None) -> Motion:
-    """Displacement under the last pressure of the load, held constant; times_s is its last time, the velocity 0.
+    """Return the static displacement under the last pressure of the load; times_s is its last time, the velocity 0.
 
-    Arguments as for solve_wedges. Raises SceneError also for a body without a support.
+    Arguments as for solve_wedges. Raises SceneError also for a body without support.
     """
     begin = time.perf_counter()
     problem = SkinProblem(body, load, load.times_s[-1:], at, accuracy)
@@ -195,17 +194,16 @@ def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, 
 
 
 def first_step(body: Body, load: Load, accuracy: float) -> float:
-    """Step [s] whose error is a third of the target at the load frequency: 0.1 (w h)^2, see estimate."""
+    """Return the step [s] with an error of a third of the target at the load frequency: 0.1 (w h)^2, see estimate."""
     frequency = load_frequency(load, slowest_wave(body, 200.0), motion_width(body, load))
     return math.sqrt(10.0 * min(accuracy, 0.2) / 3.0) / (2.0 * math.pi * frequency)
 
 
 def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes:
-    """Sizes of a mesh for an accuracy, from the width and place of the load, the shear wavelength and the points.
+    """Return the mesh sizes for an accuracy, from width and place of the load, shear wavelength and points.
 
     Errors of a disc with these sizes are in estimate.py. The triangles of a layer are quartered at least once, because
-    the coarser mesh of the error estimate is the patch itself or a mesh in between. Triangles that are too fine are
-    replaced.
+    the coarser mesh of the error estimate is the patch itself or a mesh in between. Too fine triangles are replaced.
     """
     if not 1e-4 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give one in 0.0001 to 0.5")
@@ -270,7 +268,7 @@ def expected_dofs(body: Body, sizes: Sizes) -> float:
 
 
 def slowest_wave(body: Body, f_Hz: float) -> float:
-    """Return the shear speed [m/s] in the slowest sheet at f_Hz, at most OVERDAMPED times that without dashpots."""
+    """Return the shear speed [m/s] of the slowest sheet at f_Hz, at most OVERDAMPED times that without dashpots."""
     return min(
         min(shear_wave(m, f_Hz)[0], OVERDAMPED * math.sqrt(m.shear_instant_Pa / m.density_kg_m3))
         for m in (sheet.material for sheet in body.sheets)
@@ -278,7 +276,7 @@ def slowest_wave(body: Body, f_Hz: float) -> float:
 
 
 def _check_pinned(body: Body, load: Load, sizes: Sizes | None) -> None:
-    """Refuse edges so large that a spot falls between the quadrature points of its load, some 0.4 of an edge apart."""
+    """Raise SceneError if edges are so long that a spot lies between the quadrature points, about 0.4 edges apart."""
     if isinstance(body, Slab) and sizes is not None and sizes.fine_m > 2.0 * load_width(load):
         raise SceneError(
             f"sizes: edges of {sizes.fine_m:.3g} m do not resolve a spot {load_width(load):.3g} m wide; give "
@@ -287,7 +285,7 @@ def _check_pinned(body: Body, load: Load, sizes: Sizes | None) -> None:
 
 
 def _run(body: Body, load: Load, requested: Float, points: Float, discretisation: Discretisation) -> MeshSolution:
-    """March from the first time of the load to the last requested one; the motion between steps is cubic Hermite."""
+    """Step from the first time of the load to the last requested time; interpolate by cubic Hermite between steps."""
     system, step_s = build(body, discretisation.sizes), discretisation.step_s
     history = PressureHistory(load, system.mesh, system)
     stepper = WedgeStepper(system, history.operator, step_s, discretisation.rho_inf)
@@ -309,13 +307,13 @@ def _run(body: Body, load: Load, requested: Float, points: Float, discretisation
 
 
 def on_mesh(system: SkinSystem, displacement: Float, velocity: Float, normals: Float) -> MeshSolution:
-    """Return a solution on the mesh of a system; arguments as of MeshSolution."""
+    """Return a solution on the mesh of a system; arguments as for MeshSolution."""
     sizes = system.ndof, len(system.mesh.surface_triangles6), (system.mesh.levels - 1) // 2
     return MeshSolution(displacement, velocity, *sizes, normals)
 
 
 def _between(clock: Float, values: Float, slopes: Float, requested: Float) -> Float:
-    """Return the cubic Hermite interpolation at the requested times, 0 before the first of the clock; shape (t, m)."""
+    """Return cubic Hermite interpolation at the requested times, 0 before the first time of the clock; (t, m)."""
     step = clock[1] - clock[0]
     place = np.clip(np.floor((requested - clock[0]) / step).astype(int), 0, len(clock) - 2)
     x = np.clip((requested - clock[place]) / step, 0.0, 1.0)[:, None]

@@ -1,4 +1,4 @@
-"""Layered discs under a spot: elements in r and z, harmonics in the angle, small models in time."""
+"""Layered discs under a spot: elements in r and z, harmonics in the angle, reduced models in time."""
 
 import lazy_loader
 

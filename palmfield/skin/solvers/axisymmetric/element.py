@@ -1,16 +1,16 @@
 """Matrices of a layered disc for one angular harmonic: spectral elements on a grid of rectangles in r and z.
 
-Harmonic m of the motion: u_r = Re U e^{i m theta}, u_theta = Re(-i V e^{i m theta}), u_z = Re W e^{i m theta} with
-U, V, W of (r, z). Strains of a real (U, V, W) then are, times cosine or sine of m theta,
+Harmonic m of the motion is u_r = Re U e^{i m theta}, u_theta = Re(-i V e^{i m theta}), u_z = Re W e^{i m theta} with
+functions U, V, W of (r, z). The strains of a real (U, V, W), times cosine or sine of m theta, are
 
     rr: U_r    tt: (U + m V) / r    zz: W_z    rt: V_r - V / r - m U / r    rz: U_z + W_r    tz: V_z - m W / r
 
-(the last three are engineering shear strains). Basis: Lagrange polynomials at Gauss-Lobatto points, of one degree p, in
-r times in z (Karniadakis & Sherwin 2005, ch. 2). As all rectangles are aligned, every integral is one over r times one
-over z. Nothing is projected: from p = 4 on the displacement alone does not lock up to nu = 0.4999 and beyond.
+(the last three are engineering shear strains). The basis functions are products of Lagrange polynomials of degree p in
+r and in z, at Gauss-Lobatto points (Karniadakis & Sherwin 2005, ch. 2). All rectangles are aligned, so each integral is
+a product of integrals over r and z. No strain is projected: from p = 4 on, nothing locks up to nu = 0.4999 and beyond.
 
-On the axis a smooth field has U = V = 0 (m = 0), U = -V and W = 0 (m = 1), all 0 (m >= 2). So the terms with 1 / r
-vanish there, and integrals at interior points are exact.
+On the axis a smooth field has U = V = 0 (m = 0), U = -V and W = 0 (m = 1), or all 0 (m >= 2). So the terms with 1 / r
+are 0 there, and integrals at interior points are exact.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ U, V, W = 0, 1, 2
 class Line:
     """Continuous piecewise polynomials on an interval.
 
-    breaks: ends of the elements [m], rising, shape (e + 1,); degree: p >= 1 of each; count: e p + 1 basis functions
+    breaks: ends of the elements [m], ascending, (e + 1,); degree: p >= 1; count: e p + 1 basis functions
     """
 
     breaks: Float
@@ -55,14 +55,14 @@ class Line:
         return np.linalg.inv(legendre.legvander(points, self.degree))
 
     def rule(self, points: int) -> tuple[Float, Float, Int]:
-        """Return the Gauss points [m], weights [m] and their element, each (e * points,)."""
+        """Return the Gauss points [m], their weights [m] and their elements, each (e * points,)."""
         nodes, weights = legendre.leggauss(points)
         half = 0.5 * np.diff(self.breaks)
         places = (self.breaks[:-1] + half)[:, None] + half[:, None] * nodes
         return places.ravel(), (half[:, None] * weights).ravel(), np.repeat(np.arange(self.elements), points)
 
     def values(self, x: Float, derivative: int = 0) -> Float:
-        """Return the basis functions or their slopes [1/m] at x (q,) within the interval, shape (q, count)."""
+        """Return the basis functions, or their slopes [1/m], at x (q,) in the interval, shape (q, count)."""
         element = np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, self.elements - 1)
         half = 0.5 * np.diff(self.breaks)[element]
         local = (x - self.breaks[element]) / half - 1.0
@@ -78,20 +78,20 @@ class Line:
 
 @dataclass(frozen=True)
 class DiscSystem(Matrices):
-    """M u'' + C u' + E u + sum over parts K_p (u + branches) = F of one harmonic, over n free unknowns.
+    """M u'' + C u' + E u + sum over parts K_p (u + branches) = F for one harmonic, over n free unknowns.
 
-    All integrals over the angle are left out, of the force as well; spread: all unknowns (radial node, depth node,
-    component) = spread @ free ones, csr (all, n)
+    Matrices and force are without the integral over the angle. spread: matrix from free unknowns to all unknowns
+    (radial node, depth node, component), csr (all, n)
     """
 
     spread: sparse.csr_matrix
 
 
 class DiscGrid:
-    """Elements of a disc and the integrals that its harmonics share.
+    """Elements of a disc and the integrals that all harmonics share.
 
     radial: r from 0 to the rim. depth: z from the base, -thickness, to the face, 0.
-    sheet: number of the sheet that contains each element in depth.
+    sheet: number of the sheet of each element in depth.
     """
 
     def __init__(self, body: Slab, radial: Line, depth: Line, sheet: Int) -> None:
@@ -111,12 +111,12 @@ class DiscGrid:
         second = [0.5 * (c - 2.0 * b + a) for a, b, c in zip(*whole, strict=True)]
         first = [b - a - d for (a, b, _), d in zip(zip(*whole, strict=True), second, strict=True)]
         self._powers = [whole[0], first, second]
-        # Sorted now, because SciPy sorts indices at first use, which depends on the order of parallel harmonics
+        # Sorted here: SciPy would sort indices at first use, whose time depends on the order of parallel harmonics
         for matrix in (one for power in self._powers for one in power):
             matrix.sum_duplicates()
 
     def _strains(self, m: int) -> list[tuple[float, list[tuple[int, Float, int]]]]:
-        """Return the weight in 2 e:e - 2/3 div^2 and terms (component, its radial factor, order of its slope in z)."""
+        """Return for each strain the weight in 2 e:e - 2/3 div^2 and its terms: component, radial factor, z order."""
         value, slope, hoop = self._shape["N"], self._shape["D"], self._shape["T"]
         return [
             (2.0, [(U, slope, 0)]),
@@ -133,7 +133,7 @@ class DiscGrid:
         return [(U, slope + hoop, 0), (V, m * hoop, 0), (W, value, 1)]
 
     def _integrate(self, strains: list[tuple[float, list[tuple[int, Float, int]]]], pairs: Float) -> Any:
-        """Return the sum of weight * integral of the squared strains, over all unknowns."""
+        """Return the sum of weight * integral of squared strain as a matrix over all unknowns."""
         radial: dict[tuple[int, int, int, int], Float] = {}
         for weight, terms in strains:
             for row, left, down in terms:
@@ -146,7 +146,7 @@ class DiscGrid:
         return total
 
     def _assemble(self, m: int) -> list[Any]:
-        """Return the mass, damping and elastic matrices, then the parts' stiffness, over all unknowns."""
+        """Return mass, damping and elastic matrices and the stiffness of each part, over all unknowns."""
         value = self._shape["N"]
         plane = value.T @ (self._weight[:, None] * value)
         mass = damping = elastic = 0.0 * _place(plane, self._depths[self.body.sheets[0].material][0, 0], U, U)
@@ -221,13 +221,13 @@ class DiscGrid:
 
 
 def _place(radial: Float, depth: Float, row: int, column: int) -> Any:
-    """Return the Kronecker product of integrals over r and over z, for one pair of components."""
+    """Return the Kronecker product of integrals over r and z, for one pair of components."""
     unit = sparse.csr_matrix(([1.0], ([row], [column])), shape=(3, 3))
     return sparse.kron(sparse.kron(sparse.csr_matrix(radial), sparse.csr_matrix(depth)), unit, format="csr")
 
 
 def graded(length: float, size: Any) -> Float:
-    """Return the ends of elements on 0..length whose lengths follow size(x), rounded up to a whole number of them."""
+    """Return the ends of elements on 0..length with lengths about size(x); the number of elements is rounded up."""
     x = np.linspace(0.0, length, 4001)
     rate = 1.0 / size(x)
     total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(x))])

@@ -1,4 +1,4 @@
-"""A moving spot on a disc as samples in time, and the band of frequencies that its motion has."""
+"""Samples in time of a moving spot on a disc, and the frequency band of the resulting motion."""
 
 import math
 from dataclasses import dataclass
@@ -9,15 +9,15 @@ from palmfield.skin.problem import Law, Slab, Spot, between, spread
 from palmfield.types import Float
 
 REACH = 3.0
-"""Standard deviations to which a spot is resolved."""
+"""Radius to which a spot is resolved, in standard deviations."""
 BAND, MOST_BAND = 8.0, 24.0
-"""Least and most of the band of the reduced models, in c / (2 pi s): above it a load of size s responds as 1 / f^2."""
+"""Limits of the band of the reduced models, in c / (2 pi s); above it the response to a spot falls as 1 / f^2."""
 MOST_BINS = 1 << 16
 
 
 @dataclass(frozen=True)
 class Samples:
-    """A spot at rising times (t,), the last requested at the end: amplitude [Pa] (t,), distance [m], angle [rad]."""
+    """A spot at ascending times up to the last requested time: amplitude [Pa], distance [m], angle [rad], all (t,)."""
 
     times_s: Float
     peak_Pa: Float
@@ -27,10 +27,9 @@ class Samples:
 
 
 def sample(load: Spot, times: Float, error: float) -> Samples:
-    """Sample the spot at its own and the requested times; during motion, often enough that the load is linear to
-    `error`.
+    """Sample the spot at its own and the requested times, and in between until the load is linear to `error`.
 
-    A Gaussian moved by x in a step is off its chord by up to (x / s)^2 / 8 of its peak.
+    A Gaussian that moves by x in a step differs from its chord by up to (x / s)^2 / 8 of its peak.
     """
     start, end = load.times_s[0], max(times[-1], load.times_s[0])
     own = load.times_s[load.times_s <= end]
@@ -42,7 +41,7 @@ def sample(load: Spot, times: Float, error: float) -> Samples:
             inner = np.linspace(load.times_s[n], load.times_s[n + 1], pieces[n] + 1)
             knots.append(inner[inner <= end])
     grid = np.unique(np.concatenate(knots))
-    # Times that differ only by rounding are merged.
+    # Times that differ only by rounding are merged
     grid = grid[np.concatenate([np.diff(grid) > 1e-12 * abs(end), [True]])]
     evaluated = grid + 1e-12 * abs(end) if load.law == "held" else grid
     peak, centre = between(load, load.peak_Pa, evaluated), between(load, load.centres(), evaluated)
@@ -50,7 +49,7 @@ def sample(load: Spot, times: Float, error: float) -> Samples:
 
 
 def _speed(body: Slab, s: float) -> float:
-    """Shear speed [m/s] at the frequency c / (2 pi s), of the sheets' mean modulus and density by thickness."""
+    """Return the shear speed [m/s] at frequency c / (2 pi s), for means of modulus and density over the thickness."""
     shares = [sheet.thickness_m / body.thickness_m for sheet in body.sheets]
     density = sum(share * sheet.material.density_kg_m3 for share, sheet in zip(shares, body.sheets, strict=True))
     rate = 0.0
@@ -64,10 +63,11 @@ def _speed(body: Slab, s: float) -> float:
 
 
 def _own_frequency(body: Slab, s: float) -> float:
-    """Frequency [Hz] at which a spot of this width rings after release: its own, c_s / (2 pi s), or that of the layer.
+    """Return the frequency [Hz] of the oscillation after release of a spot: c_s / (2 pi s), or that of the layer.
 
-    A layer thinner than the spot rings at the quarter wave of shear. If the spot is so wide that the compression of a
-    column, h / M, outweighs the squeeze to the sides, about (h / s)^2 h / 3 G, it rings at that of compression as well.
+    A layer thinner than the spot oscillates at the quarter-wave frequency of shear. If the spot is so wide that the
+    compression of a column, h / M, is more than the squeeze to the sides, about (h / s)^2 h / 3 G, it also oscillates
+    at the quarter-wave frequency of compression.
     """
     h = body.thickness_m
     own = _speed(body, min(s, 2.0 * h / math.pi)) / (2.0 * math.pi * min(s, 2.0 * h / math.pi))
@@ -79,7 +79,7 @@ def _own_frequency(body: Slab, s: float) -> float:
 
 
 def band_of(body: Slab, load: Spot, samples: Samples, error: float) -> float:
-    """Highest frequency that the reduced models must include [Hz]: that of the spot, of its path, of its law."""
+    """Return the highest frequency of the reduced models [Hz], from width, path and time course of the spot."""
     s = spread(load.fwhm_m)
     own = _own_frequency(body, s)
     steps = np.diff(samples.times_s)
@@ -89,7 +89,7 @@ def band_of(body: Slab, load: Spot, samples: Samples, error: float) -> float:
     path = (
         REACH * float(np.max(np.abs(np.diff(place)) / steps)) / (2.0 * math.pi * s) if samples.law == "linear" else 0.0
     )
-    # Spectrum of the amplitude from its increments, including the first jump, filtered by a response of 1 / f^2.
+    # Spectrum of the amplitude from its increments, with the first jump, times a response of 1 / f^2
     count = min(MOST_BINS, 2 + math.ceil(np.ptp(samples.times_s) / steps.min()))
     even = np.linspace(samples.times_s[0], samples.times_s[-1], count)
     rise = np.diff(np.interp(even, samples.times_s, samples.peak_Pa), prepend=0.0)
@@ -101,10 +101,9 @@ def band_of(body: Slab, load: Spot, samples: Samples, error: float) -> float:
 
 
 def principal_shapes(loads: Float, tolerance: float) -> tuple[Float, Float]:
-    """Basis of load shapes: loads (n, f) = shapes (n, j) @ coordinates (j, f), to `tolerance` of each's scale.
+    """Return shapes (n, j) and coordinates (j, f) with loads (n, f) = shapes @ coordinates, to a relative tolerance.
 
-    Proper orthogonal decomposition (truncated singular values): the largest dropped one is below tolerance times the
-    largest. At least one is kept.
+    Proper orthogonal decomposition: singular values below tolerance times the largest are dropped; at least one stays.
     """
     left, singular, right = np.linalg.svd(loads, full_matrices=False)
     kept = max(1, int(np.sum(singular > tolerance * singular[0])))

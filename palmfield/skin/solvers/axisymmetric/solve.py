@@ -1,14 +1,14 @@
 """Layered disc under a Gaussian spot, fixed or moving: elements in r and z, harmonics in the angle, modes in time.
 
-A spot of width s at distance d from the axis, at angle phi, is the sum over m of
+A spot of standard deviation s at distance d from the axis and angle phi is the sum over m of
 
     e_m exp(-(r^2 + d^2) / 2 s^2) I_m(r d / s^2) cos m(theta - phi),    e_0 = 1, e_m = 2
 
-(Jacobi-Anger; Abramowitz & Stegun 9.6.34). Because the disc is round each harmonic moves by itself (`element`). The
-load of a harmonic is a few shapes in r (POD over the distances of the spot) times complex numbers e^{-i m phi(t)}
-in time: on a circle about the axis it is a single shape. Each harmonic is reduced to some tens of vectors between these
-shapes and the requested points (`reduced`), which are then integrated exactly between the times of the load. A moving
-spot is sampled often enough for the load to be linear in between.
+(Jacobi-Anger; Abramowitz & Stegun 9.6.34). Because the disc is round, the harmonics are independent (`element`). The
+load of a harmonic is a few shapes in r (POD over the distances of the spot) times complex numbers e^{-i m phi(t)} in
+time. A circle about the axis has a single shape. Each harmonic is reduced to some tens of vectors between these shapes
+and the requested points (`reduced`). These models are integrated exactly between the times of the load. A moving spot
+is sampled often enough that the load is linear in between.
 """
 
 import math
@@ -38,30 +38,28 @@ from palmfield.threads import python_threads
 from palmfield.types import Complex, Float
 
 FINE = 1.8
-"""Edge of the elements under the spot, in standard deviations; they grow away from it."""
+"""Edge of the elements under the spot, in standard deviations; elements grow with distance from the spot."""
 BAND_STEP = 1.25
-"""Ratio of the bands of two runs that are compared: the motion above them after a jump shows in the difference."""
+"""Ratio of the bands of two compared runs, so that omitted motion above the band after a jump changes the result."""
 SAFETY = np.array([2.0, 3.0, 2.0])
-"""Factors on the difference from the finer run, by QUANTITIES. On 14 random discs the error was 0.2 to 1.6 times the
-difference, because the finer run has an error too. For a sudden velocity it was 2.2 times, on a sheet 300 times as soft
-as the next."""
+"""Error over difference from the finer run, by QUANTITIES, with margin. On 14 random discs the ratio was 0.2 to 1.6,
+because the finer run has an error too. It was 2.2 for a sudden velocity on a sheet 300 times as soft as the next."""
 STATIC_SAFETY = 4.0
-"""The same at rest, where errors at a point do not average over times."""
+"""The same for a static solution, where errors at a point do not average over times."""
 TIGHTER, TIGHTEST = 0.35, 2e-5
-"""Share of the target accuracy for which harmonics, path and reduced models of that run are chosen, and the least."""
+"""Tolerance of harmonics, path and reduced models of the finer run: share of the target accuracy, and lower limit."""
 CORNER = 0.15
-"""Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
+"""Width of an element at a singular corner over that of its neighbour (Szabo & Babuska 1991, ch. 10)."""
 MOST_DEGREE = 9
 RINGING_S = 1.2e-6
-"""Seconds of a reduced model per number of ringing modes to the power 1.5. Models take 500 to 2000 vectors on large
-discs with small losses; the prediction is within a factor of 4."""
+"""Time of a reduced model over number of resonant modes to the power 1.5 [s]. Models need 500 to 2000 vectors on large
+discs with small losses; the prediction is right to a factor of 4."""
 GRIDS, KEPT = 8, 160
-"""Number of discs, and of reduced models for centred spots, that are cached for other courses of the pressure: 0.1 to
-10 MB."""
+"""Number of cached discs, and of cached reduced models of centred spots, for other time courses (0.1 to 10 MB)."""
 
 
 def refusal_axisymmetric(body: Body, load: Load) -> str | None:
-    """Return why this solver refuses a problem, in a sentence, or None."""
+    """Return the reason why this solver cannot solve a problem, in a sentence, or None."""
     if not isinstance(body, Slab) or body.shape != "disc":
         return "solver 'axisymmetric' supports slabs of shape 'disc' only"
     if isinstance(body.base, Foundation):
@@ -76,12 +74,11 @@ def refusal_axisymmetric(body: Body, load: Load) -> str | None:
 def solve_axisymmetric(
     problem: SkinProblem, *, degree: int | None = None, fine: float | None = None, harmonics: int | None = None
 ) -> Motion:
-    """Motion of the face of a disc under a spot; on the CPU. The body is a Slab of shape "disc", the load a Spot.
+    """Return the motion of the face of a disc under a spot, on the CPU. The body must be a disc, the load a Spot.
 
-    degree: polynomial degree p of the elements; fine: their edge under the spot in its standard deviations; harmonics:
-        highest harmonic. With None the solver chooses.
-    Raises SceneError if `refusal_axisymmetric` returns a reason, for points off the face, and values outside these
-    ranges.
+    degree: polynomial degree p of the elements; fine: edge under the spot in standard deviations of the spot;
+        harmonics: highest harmonic. None: the solver chooses.
+    Raises SceneError if `refusal_axisymmetric` returns a reason, for points off the face, and values out of range.
     """
     begin = time.perf_counter()
     accuracy, judged, points = problem.accuracy, problem.judged, problem.points
@@ -91,7 +88,7 @@ def solve_axisymmetric(
     disc = _problem(body, load, problem.times, points, accuracy, harmonics)
     first = degree or first_degree(accuracy)
     band = disc.band_Hz
-    # Both tolerances may give reduced models of one size, whose difference would not show their error
+    # Both tolerances may give models of equal size; their difference would not show the error
     tight = max(TIGHTER * accuracy, TIGHTEST)
     tighter = replace(_problem(body, load, problem.times, points, tight, harmonics), beyond=True)
     while True:
@@ -115,7 +112,7 @@ def solve_axisymmetric(
 
 
 def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 0.05) -> Motion:
-    """Displacement of the face of a disc under the last pressure of a spot, held constant; times_s is its last time.
+    """Return the static displacement of the face of a disc under the last pressure of a spot; times_s is its last time.
 
     The velocity is 0. Arguments and errors as for `solve_axisymmetric`; also SceneError for a disc without support.
     """
@@ -148,7 +145,7 @@ def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 
 
 
 def check_held(body: Slab) -> None:
-    """Raise SceneError for a disc that is not supported in the normal or the tangential direction."""
+    """Raise SceneError for a disc without support in the normal or the tangential direction."""
     base = body.base
     springs = base if isinstance(base, Springs) else Springs(0.0, 0.0)
     upright = base in ("bonded", "free_slip") or springs.normal_Pa_m > 0.0 or body.side == "fixed"
@@ -161,12 +158,12 @@ def check_held(body: Slab) -> None:
 
 
 def first_degree(accuracy: float) -> int:
-    """Return an odd degree: then the next degree is 2 to 50 times as accurate and shows the error."""
+    """Return an odd degree, because the next degree is then 2 to 50 times as accurate and shows the error."""
     return 5 if accuracy >= 0.005 else 7
 
 
 def cost_axisymmetric(problem: SkinProblem) -> float:
-    """Predicted seconds of `solve_axisymmetric` on one core of a 2 GHz server; raises SceneError as it does."""
+    """Return the predicted time of `solve_axisymmetric` [s] on one core of a 2 GHz server; the same SceneErrors."""
     accuracy = problem.accuracy
     body, load = _accepted(problem)
     disc = _problem(body, load, problem.times, problem.points, accuracy, None)
@@ -183,7 +180,7 @@ def cost_axisymmetric(problem: SkinProblem) -> float:
 
 
 def ringing(body: Slab, band_Hz: float) -> float:
-    """Expected number of modes of a harmonic below a frequency: Weyl's law of the cross-section, for shear in it."""
+    """Return the expected number of shear modes of a harmonic below a frequency: Weyl's law for the cross-section."""
     count = 0.0
     for sheet in body.sheets:
         material, turns = sheet.material, 2.0 * math.pi * band_Hz
@@ -196,10 +193,10 @@ def ringing(body: Slab, band_Hz: float) -> float:
 
 @dataclass(frozen=True)
 class _DiscProblem:
-    """The data that all resolutions share.
+    """Data that all resolutions share.
 
-    share: pressure of each harmonic per peak; dropped: share of the harmonics left out; path: mean error of its samples
-    beyond: whether its reduced models are larger than their tolerance takes
+    share: pressure of each harmonic over the peak; dropped: share of the omitted harmonics; path: mean error of the
+    samples of the path; beyond: whether reduced models are larger than their tolerance needs
     """
 
     body: Slab
@@ -217,7 +214,7 @@ class _DiscProblem:
 
 
 class _Found(NamedTuple):
-    """Displacement and velocity (2, t, n, 3), the errors by left-out harmonics (3,), the grid in words."""
+    """Displacement and velocity (2, t, n, 3), errors due to omitted harmonics (3,), and the grid in words."""
 
     moved: Float
     dropped: Float
@@ -237,15 +234,15 @@ def _problem(
     numbers = tuple(range(min(highest, 1) + 1 if central else highest + 1))
     dropped = 0.0 if central and highest > 0 else float(beyond[highest])
     band = band_of(body, load, samples, 0.3 * accuracy)
-    # Between two samples the mean distance of a parabola from its chord is two thirds of its height.
+    # Between two samples, the mean distance of a parabola from its chord is two thirds of the largest distance
     path = 0.1 * accuracy * 2.0 / 3.0 if load.law == "linear" and np.ptp(load.centres(), axis=0).any() else 0.0
     return _DiscProblem(body, load, times, points, samples, numbers, share, dropped, path, 0.1 * accuracy, band)
 
 
 def _shares(ratio: float, least: float) -> Float:
-    """Largest pressure of each harmonic, of a spot of peak 1 at `ratio` standard deviations off the axis, to `least`.
+    """Return the largest pressure of each harmonic >= least, for a spot of peak 1 at `ratio` standard deviations.
 
-    Taken over all distances from the axis: close to it the high harmonics of a spot are strongest outside its middle.
+    It is the maximum over all distances from the axis: high harmonics are strongest outside the middle of a spot.
     """
     r = np.linspace(0.0, ratio + 8.0, 400)
     spot = np.exp(-0.5 * (r - ratio) ** 2)
@@ -260,7 +257,7 @@ def _motions(
     fine: float | None,
     harmonic: Callable[[DiscGrid, _DiscProblem, int, float], tuple[Complex, Complex]] | None = None,
 ) -> list[_Found]:
-    """Whole motions side by side, each of a problem, elements of one degree and reduced models of one band [Hz]."""
+    """Return the motions of several runs; a run is a problem, a degree of elements and a band of models [Hz]."""
     tasks, grids = [], []
     for problem, degree, band_Hz in runs:
         radial, depth, sheets = _grid(problem.body, problem.load, problem.samples, degree, fine or FINE)
@@ -269,7 +266,7 @@ def _motions(
         grid = _disc(body, *breaks, tuple(sheets.tolist()), degree)
         grids.append(grid)
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
-    # The number of BLAS threads, which affects the last bits, is fixed, because other harmonics may change it.
+    # One BLAS thread, because the number affects the last bits, and other harmonics may change it
     with one_blas_thread, ThreadPoolExecutor(python_threads()) as pool:
         parts = pool.map(lambda task: (harmonic or _harmonic)(*task), tasks)
         result = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
@@ -277,7 +274,7 @@ def _motions(
 
 
 def _summed(problem: _DiscProblem, grid: DiscGrid, result: list[tuple[Complex, Complex]]) -> _Found:
-    """Return the motion that the harmonics make together."""
+    """Return the sum of the motions of the harmonics."""
     load, samples, points = problem.load, problem.samples, problem.points
     target = np.searchsorted(samples.times_s, problem.times - 1e-12 * samples.times_s[-1])
     after = problem.times >= load.times_s[0]
@@ -287,19 +284,19 @@ def _summed(problem: _DiscProblem, grid: DiscGrid, result: list[tuple[Complex, C
         for kind, part in enumerate(parts):
             mine[kind, after] = _turned(part[target[after]], m, points)
         moved += mine
-    # Omitted harmonics are estimated to move like the last one, by their share of the load.
+    # Omitted harmonics are assumed to move like the last harmonic, in proportion to their share of the load
     last = np.array([_worst(part, whole) for part, whole in zip(quantities(mine), quantities(moved), strict=True)])
     dropped = last * problem.dropped / float(problem.share[problem.numbers[-1]])
     return _Found(moved, dropped, f"{grid.radial.elements} x {grid.depth.elements}")
 
 
 def quantities(moved: Float) -> tuple[Float, Float, Float]:
-    """Displacement, velocity and normal displacement of the face of a disc from (2, t, n, 3), (t, n, 3 or 1) each."""
+    """Return displacement, velocity and normal displacement, (t, n, 3 or 1) each, from the motion (2, t, n, 3)."""
     return moved[0], moved[1], moved[0][..., 2:]
 
 
 def gap(result: _Found, finer: _Found, points: Float) -> Float:
-    """Return the relative differences of QUANTITIES, (3,)."""
+    """Return the relative differences of the QUANTITIES, (3,)."""
     upwards = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     return differences((result.moved[0], result.moved[1]), (finer.moved[0], finer.moved[1]), upwards)
 
@@ -310,7 +307,7 @@ def _worst(values: Float, all_values: Float) -> float:
 
 
 def _accepted(problem: SkinProblem) -> tuple[Slab, Spot]:
-    """The body and load. Raises SceneError for those that `refusal_axisymmetric` names, and for a wrong accuracy."""
+    """Return body and load. Raises SceneError if `refusal_axisymmetric` returns a reason, and for a wrong accuracy."""
     body, load = problem.body, problem.load
     problem.refuse("axisymmetric", refusal_axisymmetric)
     assert isinstance(body, Slab) and isinstance(load, Spot)
@@ -320,12 +317,12 @@ def _accepted(problem: SkinProblem) -> tuple[Slab, Spot]:
 
 
 def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) -> tuple[Line, Line, np.ndarray]:
-    """Return the elements in r and in z, and the sheet of each of the latter."""
+    """Return the elements in r, the elements in z, and the sheet of each element in z."""
     s = spread(motion_width(body, load))
     radius = float(body.radius_m or 0.0)
     reach = REACH * spread(load.fwhm_m)
     near, far = float(samples.distance_m.min()) - reach, float(samples.distance_m.max()) + reach
-    # Waves leave the spot at frequencies up to c / (2 pi s), at which the wavelength is 2 pi s.
+    # Waves leave the spot at frequencies up to c / (2 pi s); there the wavelength is 2 pi s
     longest = fine * s * 1.3
 
     def across(r: Float) -> Float:
@@ -333,7 +330,7 @@ def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) ->
         return np.minimum(fine * s + 0.3 * away, longest)
 
     ends_r = graded(radius, across)
-    # Stresses are singular between a fixed and a free boundary; a thin row of elements limits the error.
+    # Stresses are singular where a fixed and a free boundary meet; a thin row of elements there limits the error
     corner_side = body.side == "fixed" or (body.side == "free" and body.base not in ("free", "free_slip"))
     if corner_side:
         ends_r = np.insert(ends_r, -1, ends_r[-1] - CORNER * (ends_r[-1] - ends_r[-2]))
@@ -359,12 +356,12 @@ def _harmonic(grid: DiscGrid, problem: _DiscProblem, m: int, band_Hz: float) -> 
     samples = problem.samples
     near, far = float(samples.distance_m.min()), float(samples.distance_m.max())
     radii, which = np.unique(np.hypot(*problem.points[:, :2].T), return_inverse=True)
-    # A weak harmonic may have a larger relative error.
+    # A weak harmonic may have a larger relative error
     tolerance = problem.tolerance
     if m >= 2:
         tolerance = min(0.1, tolerance * float(problem.share.max() / problem.share[m]))
     spot = problem.load.fwhm_m, near, far, tuple(radii.tolist())
-    # A moving spot has tens of models, which would displace those of stationary spots from the cache
+    # A moving spot has tens of models, which would remove those of stationary spots from the cache
     make = _small_cached if far == 0.0 else _small
     small, table, shares = make(grid, m, *spot, band_Hz, tolerance, problem.tolerance, problem.beyond)
     if shares is None:
@@ -390,9 +387,9 @@ def _small(
     shape_tolerance: float,
     beyond: bool,
 ) -> tuple[Reduced, Float, Float | None]:
-    """Return the model of a harmonic, which does not depend on the course of pressure and angle of the spot.
+    """Return the reduced model of a harmonic, which does not depend on pressure and angle of the spot over time.
 
-    Also distances of the spot from the axis [m], and coordinates of its shapes there; None for one distance.
+    Also returns distances of the spot from the axis [m], and coordinates of its shapes there; None for one distance.
     """
     s = spread(fwhm_m)
     table = np.linspace(near_m, far_m, 2 + math.ceil(10.0 * (far_m - near_m) / s))
@@ -419,12 +416,12 @@ _small_cached = lru_cache(maxsize=KEPT)(_small)
 def _disc(
     body: Slab, radial: tuple[float, ...], depth: tuple[float, ...], sheets: tuple[int, ...], degree: int
 ) -> DiscGrid:
-    """Return a grid by its breaks [m]: one object for equal discs, by which their models are kept."""
+    """Return the grid with these breaks [m]; equal discs share one object, under which their models are cached."""
     return DiscGrid(body, Line(np.array(radial), degree), Line(np.array(depth), degree), np.array(sheets))
 
 
 def _harmonic_at_rest(grid: DiscGrid, problem: _DiscProblem, m: int, _: float) -> tuple[Complex, Complex]:
-    """As `_harmonic`, at rest under the one sample: displacement and velocity 0, (1, n, 3)."""
+    """Return the same as `_harmonic` for a static solution under the one sample: displacement, and velocity 0."""
     system, samples = grid.system(m), problem.samples
     s, away = spread(problem.load.fwhm_m), float(samples.distance_m[-1])
 
@@ -441,7 +438,7 @@ def _harmonic_at_rest(grid: DiscGrid, problem: _DiscProblem, m: int, _: float) -
 
 
 def _turned(harmonic: Complex, m: int, points: Float) -> Float:
-    """Return the vectors (t, n, 3) along x, y, z from U, V, W (t, n, 3) of a harmonic at points (n, 3)."""
+    """Return vectors along x, y, z, (t, n, 3), from U, V, W, (t, n, 3), of a harmonic at points (n, 3)."""
     angle = np.arctan2(points[:, 1], points[:, 0])
     turned = harmonic * np.exp(1j * m * angle)[:, None]
     out, around, up = turned[..., 0].real, turned[..., 1].imag, turned[..., 2].real

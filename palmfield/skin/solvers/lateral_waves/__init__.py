@@ -1,4 +1,4 @@
-"""Slabs by lateral waves: modes in depth for each wavenumber, exact in time; the oracle of the other solvers."""
+"""Slabs by lateral waves: modes in depth for each wavenumber, exact in time; the reference for the other solvers."""
 
 import lazy_loader
 

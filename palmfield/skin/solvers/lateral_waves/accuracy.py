@@ -5,21 +5,21 @@ import numpy as np
 from palmfield.types import Float, Int
 
 SERIES_FROM = 8
-"""Number of requested times from which the error is computed for each point, over time."""
+"""Least number of requested times for which the error of each point is computed over time."""
 FEW_POINTS = 32
-"""Points up to which errors are estimated one by one at fewer times as well; those of a snapshot get one estimate."""
+"""Largest number of points with separate errors at fewer times; more points are a snapshot with one error."""
 FAINT = 1e-3
-"""Share of the largest motion; errors of points with less motion are relative to it."""
+"""Share of the largest motion that is the least reference for errors of points."""
 
 
 def is_picture(times: int, points: int) -> bool:
-    """Return whether there is one error for all points together."""
+    """Return whether all points together have one error."""
     return times < SERIES_FROM and points > FEW_POINTS
 
 
 def relative_error(result: Float, finer: Float, picture: bool | None = None) -> float:
-    """L2 difference of motions (t, n, 3), relative to the finer one: over the times at each point, the largest of the
-    points; over times and points together in a picture, by default where `is_picture` says that it is one."""
+    """Return the L2 difference of motions, (t, n, 3), relative to the finer: over times at the worst point, or, for a
+    picture (default: `is_picture`), over times and points together."""
     if finer.size == 0:
         return 0.0
     picture = is_picture(*finer.shape[:2]) if picture is None else picture
@@ -30,7 +30,7 @@ def relative_error(result: Float, finer: Float, picture: bool | None = None) -> 
 
 
 def pick(displacement: Float) -> Int:
-    """Return points for comparing runs: nearest to and farthest from the middle of the motion, or a selection."""
+    """Return points to compare runs: nearest to and farthest from the middle of the motion, or a selection."""
     times, points, _ = displacement.shape
     if times < SERIES_FROM:
         return np.unique(np.linspace(0, points - 1, min(points, 200)).astype(np.int32))

@@ -28,27 +28,27 @@ from palmfield.skin.solvers.lateral_waves.waves import (
 from palmfield.types import Float
 
 RIM_WIDTHS = 1.6
-"""Least distance of the centre of a spot from the sides of a slab, in widths: there p is below 1e-3 of its peak."""
+"""Least distance of the centre of a spot from the sides, in widths; there the pressure is below 1e-3 of its peak."""
 MOST_RATES = 1e7
-"""Ratio of the fastest and the slowest rate of an overdamped wave up to which its poles keep their digits."""
+"""Largest ratio of the fastest to the slowest rate of an overdamped wave whose poles keep their digits."""
 SHORTEST = 3.0
 """Wavenumber of the shortest waves of a spot times its standard deviation."""
 EVEN = 1e-6
-"""Unevenness of a spot over a slab with rollers below which it moves as a column."""
+"""Largest unevenness of a spot over a slab with rollers that moves as a column."""
 AT_SIDES = 0.5
-"""Largest pressure at the sides, as a share of the target accuracy; its kink at the sides is ignored."""
+"""Largest pressure at the sides over target accuracy; the kink of the pressure at the sides is ignored."""
 MODES = 0.1
-"""Tolerance of the modes in depth relative to that of the wavenumbers, whose panels see a change of modes as a kink."""
+"""Tolerance of the modes in depth over that of the wavenumbers; it is small, because a change of modes is a kink."""
 LOOSEST = 0.03
-"""Loosest tolerance of the modes in depth, at wavenumbers at which the load is nearly zero."""
+"""Largest tolerance of the modes in depth, at wavenumbers with nearly no load."""
 JUMP = 0.05
-"""The same after a sudden load, in a run that estimates the error of another. Modes are omitted by their displacement.
-Their velocity falls at best with its square root, or not at all from one tolerance to a fifth of it."""
+"""Factor on the tolerance of the modes after a sudden load, in the run for the error estimate. It is small because the
+error of the velocity falls at best as the root of the tolerance, and at times not at all to a fifth of it."""
 RINGS = 60
 
 
 def refusal_lateral_waves(body: Body, load: Load) -> str | None:
-    """Return why solver lateral_waves refuses a problem, in one sentence, or None."""
+    """Return the reason why solver lateral_waves cannot solve a problem, in one sentence, or None."""
     if not isinstance(body, Slab):
         return "it solves flat slabs, but this is a layer on a surface"
     if isinstance(body.base, Foundation):
@@ -58,7 +58,7 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
     if body.shape == "disc" and not (isinstance(load, Spot) and is_still(load) and not load.centres().any()):
         return "on a disc it needs a stationary spot at the centre"
     for material in (sheet.material for sheet in body.sheets):
-        # For a wavelength equal to the load width: stopping rate times creep rate
+        # For waves as short as those of the load: rate of a free viscous decay times creep time
         rate = material.viscosity_Pa_s / material.density_kg_m3 * (SHORTEST / spread(load_width(load))) ** 2
         rate *= material.relaxation.viscous_time_s
         if rate > MOST_RATES:
@@ -78,7 +78,7 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
 
 
 def unevenness(body: Slab, load: Spot) -> float:
-    """Return the largest fall of the pressure of a spot over a slab, as a share of its peak."""
+    """Return the largest decrease of the pressure of a spot over a slab, as a share of its peak."""
     if body.shape == "infinite":
         return 1.0
     half = np.asarray(body.size_m or (body.radius_m or 0.0, 0.0)) * (0.5 if body.shape == "box" else 1.0)
@@ -87,11 +87,10 @@ def unevenness(body: Slab, load: Spot) -> float:
 
 
 def check_sides(body: Slab, load: Load, accuracy: float) -> float:
-    """Pressure at the sides of a slab over the peak of the spot, which the wavenumbers omit; 0 for pressures at points.
+    """Return the pressure at the sides of a slab over the peak of the spot; 0 for pressures at points.
 
-    For a pressure that is even over the slab to EVEN, the result is its unevenness.
-
-    Raises SceneError where it is more than AT_SIDES of the target accuracy.
+    The wavenumbers omit this pressure. If the pressure is uniform over the slab to EVEN, its unevenness is returned.
+    Raises SceneError if the result is above AT_SIDES times the target accuracy.
     """
     if not isinstance(load, Spot):
         return 0.0
@@ -113,7 +112,7 @@ def is_still(spot: Spot) -> bool:
 
 
 def box_images(body: Slab, points: Float) -> list[tuple[Float, Float]]:
-    """Points at which the periodic solution is summed, with signs of the vector components, shape (n, 2) and (3,)."""
+    """Return the points of the sum of the periodic solution, (n, 2), each with signs of the vector components, (3,)."""
     if body.shape != "box" or body.size_m is None:
         return [(points, np.ones(3))]
     return mirrored(points, body.size_m)
@@ -131,10 +130,11 @@ def build_waves(
     threads: int | None = None,
     farther: bool = False,
 ) -> tuple[WaveSet, Float | None]:
-    """Waves for a load on a slab, for points (n, 2) and times up to horizon_s [s] after its start. Also the panels of
-    wavenumbers of an endless slab, with which a finer set may begin. still: modes that come to rest at once, at the
-    static solution; farther: with one wavenumber of a disc or box beyond the resolution, and more modes after sudden
-    loads."""
+    """Return the waves for a load on a slab, points (n, 2) and times up to horizon_s [s] after its start.
+
+    Also returns the panels of wavenumbers of an infinite slab, with which a finer set may begin.
+    still: for a static solution; farther: with one more wavenumber of a disc or box, and more modes after sudden loads
+    """
     if isinstance(load, Spot):
         k_end = resolution.cut(load.fwhm_m)
         sources = load.centres()
@@ -187,14 +187,14 @@ def build_waves(
 
 
 def next_wavenumber(body: Slab) -> float:
-    """Return the spacing of the wavenumbers of a slab, along its shortest side at least [rad/m]."""
+    """Return the spacing of the wavenumbers of a slab along its shortest side [rad/m]."""
     if body.shape == "disc":
         return math.pi / body.radius_m if body.radius_m else 0.0
     return math.pi / min(body.size_m) if body.size_m else 0.0
 
 
 def reach(points: Float, sources: Float) -> float:
-    """Return an upper bound of the distances from points to sources [m], from the box of the sources."""
+    """Return an upper bound of the distances of points from sources [m], from the box of the sources."""
     low, high = sources.min(axis=0), sources.max(axis=0)
     offsets = np.maximum(np.abs(points - low), np.abs(points - high))
     return float(np.linalg.norm(offsets, axis=1).max())
@@ -209,13 +209,12 @@ def disc_transform(fwhm_m: float, radius_m: float, k: Float) -> Float:
 
 
 def nyquist(weights_m2: Float) -> float:
-    """Return the wavenumber [rad/m] beyond which points with such areas do not determine the pressure between them."""
+    """Return the wavenumber [rad/m] above which points of these areas do not determine the pressure between them."""
     return np.pi / float(np.sqrt(np.median(weights_m2)))
 
 
 def ring_sizes(force: Float, points: Float, k_end: float) -> tuple[Float, Float]:
-    """Wavenumbers from 0 to k_end and the root mean square there of the transform of forces (f, p) over directions and
-    times."""
+    """Return wavenumbers from 0 to k_end, and the rms over directions and times of the transform of forces (f, p)."""
     rings = np.linspace(0.0, k_end, RINGS)
     angle = np.pi * np.arange(16) / 16
     vectors = rings[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -228,7 +227,7 @@ def ring_sizes(force: Float, points: Float, k_end: float) -> tuple[Float, Float]
 
 
 def cut(rings: Float, sizes: Float, tolerance: float) -> float:
-    """Wavenumber beyond which less than `tolerance` of the load content lies; the last one where it does not fall."""
+    """Return the wavenumber above which less than `tolerance` of the load lies; the last if the load does not fall."""
     content = np.cumsum((rings * sizes**2)[::-1])[::-1]
     beyond = np.sqrt(content / content[0]) < tolerance
     return float(rings[np.argmax(beyond)] if beyond.any() else rings[-1])

@@ -1,7 +1,4 @@
-"""Cost of a solution by lateral waves, predicted before the solution.
-
-Constants are from docs/bench/skin_lateral_waves.md.
-"""
+"""Predict the cost of a solution by lateral waves. Constants are from docs/bench/skin_lateral_waves.md."""
 
 import numpy as np
 
@@ -12,27 +9,26 @@ from palmfield.skin.solvers.lateral_waves.build import check_sides, is_still, ny
 from palmfield.skin.solvers.lateral_waves.resolution import choose
 
 TRIED, SUMMED = 7.0, 4.3
-"""Wavenumbers tried, and waves summed, in the run and the finer one that it is compared with, over those expected of an
-endless slab; elsewhere TWICE."""
+"""Tried wavenumbers and summed waves, in a run and its finer run together, over the expected numbers for an infinite
+slab; for other slabs TWICE."""
 TWICE = 2.1
 WAVENUMBER_S, SQUARE_S = 0.9e-3, 0.39e-6
-"""Seconds of one wavenumber, and by the square of its poles."""
+"""Time of one wavenumber, and time by the square of its number of poles [s]."""
 WAVE_S, POLE_S = 0.3e-6, 3e-9
-"""Seconds of one wave over one stretch of time, and by its poles."""
+"""Time of one wave over one segment of time, and time by its number of poles [s]."""
 SUM_S = 9e-9
-"""Seconds of one wave at one point and time."""
+"""Time of one wave at one point and moment [s]."""
 PHASE_S = 20e-9
 LATE_Hz = 200.0
 BEGIN_S, SHARE = 0.02, 0.4
-"""Seconds of any solution, and ratio of measured to predicted time in 12 cases (docs/bench/skin_costs.md)."""
+"""Time of any solution [s], and ratio of measured to predicted time in 12 cases (docs/bench/skin_costs.md)."""
 
 
 def cost_lateral_waves(problem: SkinProblem) -> float:
-    """Predicted seconds on one core, within a factor of about two; infinite for bodies that the solver refuses.
+    """Return the predicted time [s] on one core, to a factor of about two; infinite for bodies that cannot be solved.
 
+    Fitted to times of the process, on Ecoflex 20 mm at 0.1 to 5 % and on a plate of 10 mm under a fast spot.
     Raises SceneError as `check_sides`.
-
-    Fitted to seconds of the process, on Ecoflex 20 mm at 0.1 to 5 % and on a plate of 10 mm under a fast spot.
     """
     body, load, requested, points = problem.body, problem.load, problem.times, problem.at[:, :2]
     if not isinstance(body, Slab):
@@ -57,7 +53,7 @@ def cost_lateral_waves(problem: SkinProblem) -> float:
         waves = 2.0 * wavenumbers
     degree = sum(resolution.degrees(body, 0.5 * k_end))
     branches = max(len(sheet.material.relaxation.branches) for sheet in body.sheets)
-    # Number of relevant modes for the face, from runs; it grows with the requested digits and waves in the depth
+    # Number of relevant modes for the face, fitted to runs; it grows with the digits and the waves in the depth
     digits = resolution.digits + 0.35
     poles = (2 + branches) * min(2.0 * degree, 4.0 * digits**2 + 0.2 * k_end * body.thickness_m)
     stretches = len(np.union1d(load.times_s[load.times_s < requested[-1]], requested))

@@ -1,12 +1,12 @@
 """A slab in depth for one lateral wavenumber: matrices of one polynomial element per sheet.
 
-Motion u_x = i U(z) e^{ikx}, u_z = W(z) e^{ikx} makes the strain -k U, W', (U' + k W) / 2 and every matrix real and
-symmetric. Polynomials of high degree neither lock at Poisson's ratio 0.5 nor disperse (Szabo & Babuska 1991, ch. 6,
-give the basis: integrated Legendre polynomials).
+With the motion u_x = i U(z) e^{ikx}, u_z = W(z) e^{ikx} the strains are -k U, W', (U' + k W) / 2, and every matrix is
+real and symmetric. Polynomials of high degree neither lock at Poisson's ratio 0.5 nor disperse. The basis functions are
+integrated Legendre polynomials (Szabo & Babuska 1991, ch. 6).
 
-Stiffness and damping are stored as their factors, rows of strain whose squares sum to the energy. The soft modes of a
-stiff sheet are 1e13 times softer than its stiffest. They keep their digits in the singular values of the factor and
-lose them in the eigenvalues of its square.
+Stiffness and damping are stored as factors: rows of strain whose squares sum to the energy. The softest modes of a
+stiff sheet are 1e13 times softer than the stiffest. The singular values of the factor keep their digits; eigenvalues
+of the stiffness would lose them.
 """
 
 import math
@@ -21,12 +21,12 @@ from palmfield.skin.problem import Slab
 from palmfield.types import Float
 
 STIFFEST = 1e7
-"""K / G_r above which a sheet counts as incompressible: a larger ratio loses digits without changing the result."""
+"""K / G_r above which a sheet counts as incompressible: a larger ratio loses digits and does not change the result."""
 
 
 @dataclass(frozen=True)
 class Relaxing:
-    """Forces g Q (u - q) with tau q' = u - q and Q = strain^T strain, of the branches of one sheet.
+    """Forces g Q (u - q) of the branches of one sheet, with tau q' = u - q and Q = strain^T strain.
 
     strain: [Pa^1/2], shape (m, n); branches: (g, tau [s]) of each, both > 0
     """
@@ -37,11 +37,11 @@ class Relaxing:
 
 @dataclass(frozen=True)
 class DepthProblem:
-    """M u'' + D u' + E u + sum g Q (u - q) = force, by area of the face; D = viscous^T viscous, E = strain^T strain.
+    """M u'' + D u' + E u + sum g Q (u - q) = force, per area of the face; D = viscous^T viscous, E = strain^T strain.
 
     mass: M [kg/m^2], shape (n, n). strain: [(Pa/m)^1/2], shape (m, n). viscous: [(Pa s/m)^1/2], shape (l, n).
     relaxing: the terms of the Maxwell branches.
-    normal, lateral: places of W and U of the face among the n unknowns; lateral is None at k = 0, where they decouple.
+    normal, lateral: places of W and U of the face among the n unknowns; lateral is None at k = 0 (U is not coupled).
     """
 
     mass: Float
@@ -54,10 +54,10 @@ class DepthProblem:
 
 @lru_cache(maxsize=8)
 def _reference(degree: int) -> tuple[Float, Float, Float]:
-    """By Legendre polynomials of unit square integral over [-1, 1]: N_j and N_j', and the integrals of N_i N_j.
+    """Return N_j and N_j' as sums of Legendre polynomials of unit norm over [-1, 1], and the integrals of N_i N_j.
 
-    All of shape (degree + 1, degree + 1), the first two by polynomial and j; leading blocks serve lower degrees. N_0 is
-    1 at the lower end, N_1 at the upper one; the others, integrals of Legendre polynomials, vanish at both.
+    All have shape (degree + 1, degree + 1), the first two by polynomial and j; leading blocks are those of lower
+    degrees. N_0 is 1 at the lower end, N_1 at the upper end; the others (integrals of polynomials) are 0 at both.
     """
     values, slopes = np.zeros((degree + 1, degree + 1)), np.zeros((degree + 1, degree + 1))
     values[0, :2], values[1, :2] = np.sqrt(0.5), [-np.sqrt(1.0 / 6.0), np.sqrt(1.0 / 6.0)]
@@ -76,10 +76,10 @@ def reference(degree: int) -> tuple[Float, Float, Float]:
 
 
 def sheet_matrices(k: float, thickness_m: float, degree: int) -> tuple[Float, Float, Float]:
-    """Of one sheet, by U first, then W: mass for density 1, shape (2p + 2, 2p + 2), then rows of strain.
+    """Return mass, dilation rows and shear rows of one sheet for unit density, K and G; unknowns are U, then W.
 
-    Twice the energy is the sum of squares of these rows times u. For K = 1 of the dilation, shape (p + 1, 2p + 2). For
-    G = 1 of a third of it and of the other strains, shape (2p + 2, 2p + 2).
+    Twice the energy is the sum of squares of the rows times u. Dilation: shape (p + 1, 2p + 2). Shear, with a third of
+    the squared dilation: shape (2p + 2, 2p + 2). Mass: shape (2p + 2, 2p + 2).
     """
     values, slopes, plain = reference(degree)
     values, slopes = math.sqrt(0.5 * thickness_m) * values, math.sqrt(2.0 / thickness_m) * slopes
@@ -93,13 +93,13 @@ def sheet_matrices(k: float, thickness_m: float, degree: int) -> tuple[Float, Fl
 
 
 def _places(sheet: int, sheets: int, degrees: tuple[int, ...]) -> np.ndarray:
-    """Return the places of the functions of a sheet among all: interfaces first (the face is 0), then the insides."""
+    """Return the places of the functions of a sheet among all: interfaces first (the face is 0), then interiors."""
     inside = sheets + 1 + sum(p - 1 for p in degrees[:sheet])
     return np.concatenate([[sheet + 1, sheet], np.arange(inside, inside + degrees[sheet] - 1)])
 
 
 def _laws(material: Material, dilation: Float, turned: Float) -> tuple[Float, Float]:
-    """Return the rows of strain of one sheet: of all its stiffness, and of what follows the shear modulus in time."""
+    """Return the rows of strain of one sheet: for the whole stiffness, and for the part that relaxes in shear."""
     shear = material.shear_relaxed_Pa
     bulk = min(material.bulk_Pa, STIFFEST * shear)
     sheared = math.sqrt(shear) * turned
@@ -108,7 +108,7 @@ def _laws(material: Material, dilation: Float, turned: Float) -> tuple[Float, Fl
 
 
 def depth_problem(slab: Slab, k: float, degrees: tuple[int, ...]) -> DepthProblem:
-    """Matrices of a slab at lateral wavenumber k [rad/m], >= 0, with a polynomial degree (>= 2) for each sheet."""
+    """Return the matrices of a slab at lateral wavenumber k [rad/m], >= 0; degrees: polynomial degree >= 2 by sheet."""
     sheets = len(slab.sheets)
     count = sheets + 1 + sum(p - 1 for p in degrees)
     bottom = np.array([sheets, count + sheets])

@@ -1,4 +1,4 @@
-"""The load on each wave, cut into segments that end where the load bends or a result is requested."""
+"""The load on each wave, in segments of time that end where the load bends or a result is requested."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,13 @@ from palmfield.skin.solvers.lateral_waves.waves import WaveSet, transform
 from palmfield.types import Complex, Float, Int
 
 SAME = 1e-9
-"""Part of the whole time by which two instants may differ and be one."""
+"""Largest difference of two equal moments, as a share of the whole time."""
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """Segments of time. edges: their ends [s], shape (s + 1,); kind: number of each segment's duration [s], shape (s,)
-    rows: place of the end of each segment among the requested times, or -1, shape (s,)
+    """Segments of time. edges: ends [s], shape (s + 1,); kind: number of the duration of each segment, shape (s,);
+    rows: number of the requested time at the end of each segment, or -1, shape (s,)
     """
 
     edges: Float
@@ -25,7 +25,7 @@ class Timeline:
 
 
 def timeline(load: Load, requested: Float) -> Timeline | None:
-    """Segments from the start of the load to the last requested time; None if no requested time is after it."""
+    """Return the segments from the start of the load to the last requested time; None if no requested time is later."""
     start = float(load.times_s[0])
     span = float(requested[-1]) - start
     if span <= 0.0:
@@ -34,7 +34,7 @@ def timeline(load: Load, requested: Float) -> Timeline | None:
     ticks = np.round((np.concatenate([bends, requested[requested > start]]) - start) / (SAME * span)).astype(np.int64)
     different, place = np.unique(ticks, return_inverse=True)
     edges = np.empty(len(different))
-    # Bends come last, so that common edges have exactly the time of the load
+    # Bends are written last, so that common edges have exactly the time of the load
     edges[place[::-1]] = np.concatenate([bends, requested[requested > start]])[::-1]
     rows = np.full(len(edges), -1, dtype=np.int32)
     rows[place[len(bends) :]] = np.flatnonzero(requested > start)
@@ -52,7 +52,7 @@ def spot_transform(fwhm_m: float, k: Float) -> Float:
 def drive(load: Load, line: Timeline, waves: WaveSet, part: slice) -> Float:
     """Return the force on each wave in the form of `warp_kernels.oscillators.march`: shape (n, s, 7).
 
-    The transform of the shape of a spot is part of the weight of the wave; here are its amplitude and centre phase.
+    The transform of the shape of a spot is part of the weight of the wave. This force has its amplitude and phase.
     """
     if not isinstance(load, Spot):
         forces = transform(waves.vectors[part], load.pressure_Pa * load.weights_m2, load.points[:, :2])
@@ -75,7 +75,7 @@ def drive(load: Load, line: Timeline, waves: WaveSet, part: slice) -> Float:
 
 
 def on_timeline(law: str, times: Float, values: Complex, line: Timeline) -> Float:
-    """Return forces given at times, shape (n, f), on the timeline, constant or linear between them, as `drive`."""
+    """Return forces at given times, (n, f), in the form of `drive`; they are constant or linear between the times."""
     last = len(times) - 1
     result = np.empty((len(values), len(line.kind), 7))
     place = np.clip(np.searchsorted(times, 0.5 * (line.edges[:-1] + line.edges[1:]), side="right") - 1, 0, last)

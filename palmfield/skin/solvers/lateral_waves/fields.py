@@ -1,8 +1,8 @@
 """Whole fields of the face of a slab: the normal velocity on a grid at many times, under a spot that moves.
 
-`solve` sums every wave at every point, which is right for points and takes minutes for pictures of an endless slab.
-Here the waves are those of a periodic square, so that their sum on a grid is a Fourier transform; or those of a disc
-within a smooth wall, with a transform round the disc. Modes in depth and steps in time are those of the solver.
+`solve` sums every wave at every point, which takes minutes for pictures of an infinite slab. Here the waves are those
+of a periodic square, so that their sum on a grid is a Fourier transform; or those of a disc in a smooth wall, with a
+transform round the disc. Modes in depth and steps in time are those of the solver.
 
 from palmfield.skin.solvers.lateral_waves.fields import PeriodicSlab
 plate = PeriodicSlab(Slab((Sheet(preset("gelatin_2"), 0.01),), base="free"), fwhm_m=0.006, period_m=0.6)
@@ -33,31 +33,31 @@ from palmfield.skin.solvers.lateral_waves.waves import WaveSet, lattice
 from palmfield.types import Complex, Float, Float32, Int
 
 LEAST_SHARE = 1e-2
-"""Least transform of the spot by which the tolerance of the modes of short waves is divided."""
+"""Least transform of the spot that divides the tolerance of the modes of short waves."""
 MODES = 0.1
 """Tolerance of the modes in depth over that of the waves."""
 CLEAR_WIDTHS = 1.6
-"""Widths of the spot that its centre keeps from the wall: there the pressure is below 1e-3 of its peak."""
+"""Least distance of the centre of a spot from the wall, in widths; there the pressure is below 1e-3 of its peak."""
 PHASE = 0.25
-"""Radians by which the shortest wave may turn between two places of the spot, between which its load is linear."""
+"""Largest phase of the shortest wave between two places of the spot [rad]; its load is linear between them."""
 SAME_DIGITS = 7
-"""Decimals to which equal wavenumbers agree [rad/m]."""
+"""Number of decimals to which equal wavenumbers agree [rad/m]."""
 FINER_ANGLES = 2
-"""Angles of the polar grid over those that its waves need, so that cubic polynomials between them do."""
+"""Number of angles of the polar grid over the number for its waves, so that cubic interpolation is accurate."""
 ROWS = 32
 """Number of moments that are summed together."""
 WALL_STEP_m = 5e-4
-"""Spacing of the radii at which the waves of the disc are tabulated; the shortest are seven times as long."""
+"""Spacing of the radii of the tabulated waves of the disc [m]; the shortest waves are seven times as long."""
 
 
 @dataclass(frozen=True)
 class _Field:
-    """The waves of a slab under spots of one width.
+    """Waves of a slab under spots of one width.
 
-    slab: slab of the shape of the subclass. fwhm_m: width of the spot [m].
-    tolerance: tolerance of the cut of short waves and of the modes, for which modes_tolerance may give another value.
-    horizon_s: last requested time [s]. speed_m_s: largest speed of the spot. threads: None for all cores.
-    Raises SceneError for another shape and sizes that are not above 0.
+    slab: slab with the shape of the subclass. fwhm_m: width of the spot [m].
+    tolerance: of the omitted short waves and of the modes; modes_tolerance replaces the latter.
+    horizon_s: last requested time [s]. speed_m_s: largest speed of the spot [m/s]. threads: None for all cores.
+    Raises SceneError for another shape, and for sizes that are not above 0.
     """
 
     slab: Slab
@@ -72,10 +72,10 @@ class _Field:
 
 @dataclass(frozen=True, kw_only=True)
 class PeriodicSlab(_Field):
-    """An endless slab with a periodic load in both directions, period_m apart [m].
+    """An infinite slab with a load that is periodic in both directions; period_m: period [m].
 
     The motion of the face is right until waves of the repeated loads arrive: about (period - distance to the load) over
-    the fastest group speed, which is twice the shear speed on a free slab and below it on a bonded one.
+    the fastest group speed. This is twice the shear speed on a free slab, and below the shear speed on a bonded slab.
     """
 
     period_m: float
@@ -85,7 +85,7 @@ class PeriodicSlab(_Field):
 
     @cached_property
     def waves(self) -> WaveSet:
-        """Waves, one of each pair k, -k; their weights contain the transform of the spot."""
+        """Waves, one of each pair k, -k; the weights include the transform of the spot."""
         half = 0.5 * self.period_m
         resolution = resolution_for(self.tolerance, 0.0, self.speed_m_s)
         vectors, weights, k, group = lattice((half, half), resolution.cut(self.fwhm_m))
@@ -93,10 +93,10 @@ class PeriodicSlab(_Field):
         return WaveSet(modes, group, weights * spot_transform(self.fwhm_m, np.linalg.norm(vectors, axis=1)), vectors)
 
     def normal_velocity(self, spot: Spot, times_s: Float, *, half_m: float, cells: int, device: str = "cpu") -> Float32:
-        """Return the normal velocity [m/s], outward, at times [s] on the square of +- half_m, shape (t, n, n), float32.
+        """Return the outward normal velocity [m/s] at times [s] on the square of +- half_m, shape (t, n, n), float32.
 
-        cells: places of the grid in a period, whose spacing is period_m / cells; `places` gives them
-        Raises SceneError for a spot of another width, a grid too coarse for the waves, and times that do not rise.
+        cells: number of grid places in a period; their spacing is period_m / cells, see `places`
+        Raises SceneError for a spot of another width, a grid too coarse for the waves, and times that do not ascend.
         """
         times = _checked_times(spot, times_s, self.fwhm_m)
         numbers, shown = self._grid(half_m, cells)
@@ -105,10 +105,9 @@ class PeriodicSlab(_Field):
     def line_and_maps(
         self, spot: Spot, times_s: Float, maps: Int, *, half_m: float, cells: int, device: str = "cpu"
     ) -> tuple[Float32, Float32]:
-        """Return the normal velocity along the line y = 0 at all times, shape (t, n), and on the square at some, (m, n,
-        n).
+        """Return the normal velocity on the line y = 0 at all times, (t, n), and on the square at some, (m, n, n).
 
-        maps: numbers of the times at which the square is needed, shape (m,); others as of `normal_velocity`
+        maps: numbers of the times for the square, shape (m,); other arguments as for `normal_velocity`
         """
         times = _checked_times(spot, times_s, self.fwhm_m)
         numbers, shown = self._grid(half_m, cells)
@@ -126,7 +125,7 @@ class PeriodicSlab(_Field):
         return line.astype(np.float32), _maps(amplitude[maps], numbers, cells, shown)
 
     def _grid(self, half_m: float, cells: int) -> tuple[Int, Int]:
-        """Return the whole numbers of each wave along x and y, shape (n, 2), and which cells are shown."""
+        """Return the number of periods of each wave along x and y, shape (n, 2), and the numbers of the shown cells."""
         numbers = np.round(self.waves.vectors / (2.0 * math.pi / self.period_m)).astype(np.int32)
         most = int(np.abs(numbers).max())
         if cells < 2 * most + 1:
@@ -134,14 +133,14 @@ class PeriodicSlab(_Field):
         return numbers, self._shown(half_m, cells)
 
     def _amplitudes(self, spot: Spot, times: Float, device: str) -> Complex:
-        """Return the normal velocity of each wave at the times with its weight, shape (t, n)."""
+        """Return the normal velocity of each wave times its weight, at the times, shape (t, n)."""
         line = timeline(spot, times)
         if line is None:
             return np.zeros((len(times), len(self.waves)), dtype=complex)
         return _amplitudes(spot, line, self.waves, len(times), device, self.threads)
 
     def places(self, half_m: float, cells: int) -> Float:
-        """Return the coordinates of the grid of `normal_velocity` along x and along y [m], rising, shape (n,)."""
+        """Return the coordinates of the grid of `normal_velocity` along x and along y [m], ascending, shape (n,)."""
         shown = self._shown(half_m, cells)
         return np.asarray(np.where(shown > cells // 2, shown - cells, shown) * self.period_m / cells)
 
@@ -157,17 +156,17 @@ class PeriodicSlab(_Field):
 def _maps(amplitude: Complex, numbers: Int, cells: int, shown: Int) -> Float32:
     """Return the sums of plane waves on the visible cells of a period, shape (t, n, n).
 
-    amplitude: shape (t, w); numbers: waves in a period along x and y, shape (w, 2)
+    amplitude: shape (t, w); numbers: number of periods of each wave along x and y, shape (w, 2)
     """
     most = int(np.abs(numbers).max())
     result = np.zeros((len(amplitude), len(shown), len(shown)), dtype=np.float32)
     sums = np.empty((2 * most + 1, most + 1), dtype=complex)
     along = np.zeros((len(shown), cells // 2 + 1), dtype=complex)
-    # Half planes of e^{i(mx + ny)} with m >= 0: the transform along y is complex, then that along x real
+    # Half planes of e^{i(mx + ny)} with m >= 0: a complex transform along y, then a real transform along x
     for row, values in enumerate(amplitude):
         sums[...] = 0.0
         sums[numbers[:, 1], numbers[:, 0]] = values
-        # On the line m = 0 both a wave and its mirror are needed; k = 0 has half a weight
+        # On the line m = 0 both a wave and its mirror are needed; the weight of k = 0 is halved
         sums[:, 0] += np.roll(sums[::-1, 0], 1).conj()
         padded = np.zeros((cells, most + 1), dtype=complex)
         padded[: most + 1], padded[cells - most :] = sums[: most + 1], sums[most + 1 :]
@@ -178,11 +177,11 @@ def _maps(amplitude: Complex, numbers: Int, cells: int, shown: Int) -> Float32:
 
 @dataclass(frozen=True)
 class WalledDisc(_Field):
-    """A disc within a smooth wall, which reflects all waves: no radial motion there, free along z.
+    """A disc in a smooth wall, which reflects all waves: no radial motion at the wall, free motion along z.
 
-    Its lateral waves are J_m(k r) e^{i m phi} with J_m'(k R) = 0. Because the curvature of the wall is neglected, a
-    shear traction remains along the wall, about 2 m / (k R)^2 of that of the wave: 1 % for 12 mm waves on 25 cm. A free
-    slab moves as a whole, because it has no support. The slab is a disc with rollers.
+    The slab is a disc with rollers. Its lateral waves are J_m(k r) e^{i m phi} with J_m'(k R) = 0. The curvature of the
+    wall is neglected. So a shear traction along the wall is left, about 2 m / (k R)^2 of that of the wave: 1 % for
+    12 mm waves on 25 cm. A free slab moves as a whole, because it has no support.
     """
 
     def __post_init__(self) -> None:
@@ -198,7 +197,7 @@ class WalledDisc(_Field):
 
     @cached_property
     def waves(self) -> tuple[WaveSet, Int]:
-        """Waves with vectors (k, m), and the orders m; weights hold transform and norm, 1 / integral of J_m^2."""
+        """Waves with vectors (k, m), and the orders m; weights include transform and norm, 1 / integral of J_m^2."""
         resolution = resolution_for(self.tolerance, 0.0, self.speed_m_s)
         orders, k = wall_wavenumbers(self.radius_m, resolution.cut(self.fwhm_m))
         different, group = np.unique(k, return_inverse=True)
@@ -223,9 +222,9 @@ class WalledDisc(_Field):
     def normal_velocity(
         self, spot: Spot, times_s: Float, *, places_m: Float | None = None, spacing_m: float = 1e-3, device: str = "cpu"
     ) -> Float32:
-        """Normal velocity [m/s], outward, at times [s] on the square round the disc, shape (t, n, n); 0 off the disc.
+        """Return the outward normal velocity [m/s] at times [s] on a square round the disc, (t, n, n); 0 off the disc.
 
-        places_m: coordinates along x and along y [m], shape (n,); by default `spacing_m` apart about the middle
+        places_m: coordinates along x and along y [m], shape (n,); default: spacing `spacing_m`, symmetric
         Raises SceneError for a spot of another width or nearer to the wall than 1.6 widths, and times as `solve`.
         """
         times = _checked_times(spot, times_s, self.fwhm_m)
@@ -249,8 +248,8 @@ class WalledDisc(_Field):
 
     @lru_cache(maxsize=2)  # noqa: B019 (of a frozen object that lives as long as its waves)
     def _to_square(self, places: tuple[float, ...], count: int) -> tuple[NDArray[np.bool_], sparse.csr_array]:
-        """Which places of the square lie on the disc, (n, n), and the matrix that takes polar values there: cubic
-        polynomials through four radii and four angles."""
+        """Return which places of the square lie on the disc, (n, n), and the matrix from polar values to these places:
+        cubic interpolation in radius and angle."""
         x, y = np.meshgrid(places, places, indexing="ij")
         inside = np.hypot(x, y) <= self.radius_m * (1.0 + 1e-9)
         radius = np.hypot(x, y)[inside] / self._radii[1]
@@ -274,7 +273,7 @@ class WalledDisc(_Field):
         return np.asarray(spacing_m * np.arange(-reach, reach + 1), dtype=float)
 
     def _amplitudes(self, spot: Spot, times: Float, device: str) -> tuple[Complex, Int]:
-        """Normal velocity of each wave at the requested times with its weight, shape (t, n), and the orders."""
+        """Return the normal velocity of each wave times its weight, at the requested times, (t, n), and the orders."""
         waves, orders = self.waves
         fine = self._linear(spot)
         line = timeline(fine, times)
@@ -296,7 +295,7 @@ class WalledDisc(_Field):
         return _amplitudes(fine, line, waves, len(times), device, self.threads, force), orders
 
     def _linear(self, spot: Spot) -> Spot:
-        """Return the spot with enough places that the shortest wave turns by less than PHASE between two."""
+        """Return the spot with more places, so that the phase of the shortest wave changes by less than PHASE."""
         if spot.law == "held":
             return spot
         short = resolution_for(self.tolerance, 0.0, self.speed_m_s).cut(self.fwhm_m)
@@ -320,11 +319,11 @@ def _cubic(x: Float) -> tuple[Float, ...]:
 
 
 def wall_wavenumbers(radius_m: float, k_end: float) -> tuple[Int, Float]:
-    """Return the orders m and wavenumbers k [rad/m] up to k_end with J_m'(k R) = 0, k = 0 of order 0 among them."""
+    """Return the orders m and wavenumbers k [rad/m] up to k_end with J_m'(k R) = 0, with k = 0 of order 0."""
     end = k_end * radius_m
     orders, k = [np.zeros(1, dtype=int)], [np.zeros(1)]
     for m in range(math.floor(end) + 1):
-        # Number of zeros below `end` by the phase of J_m, with an error below one
+        # Number of zeros below `end` from the phase of J_m, with an error below one
         ahead = (math.sqrt(end**2 - m**2) - m * math.acos(m / end)) / math.pi
         zeros = jnp_zeros(m, math.ceil(ahead) + 2)
         zeros = zeros[zeros <= end]
@@ -342,7 +341,7 @@ def _amplitudes(
     threads: int | None,
     force_on: Callable[[slice], Float] | None = None,
 ) -> Complex:
-    """Return the normal velocity of each wave at the requested times, with its weight, shape (rows, n)."""
+    """Return the normal velocity of each wave times its weight, at the requested times, shape (rows, n)."""
     result = np.zeros((rows, len(waves)), dtype=complex)
 
     def keep(part: slice, amplitude: Complex) -> Float:
@@ -355,7 +354,7 @@ def _amplitudes(
 
 @lru_cache(maxsize=8)
 def _stored_modes(slab: Slab, fwhm_m: float, resolution: Resolution, horizon_s: float) -> dict[float, FaceModes]:
-    """Modes by rounded wavenumber, shared by lattices of half a period; those of an endless slab are also a disc's."""
+    """Return a cache of modes by rounded wavenumber, shared by lattices of half a period; discs use that of a slab."""
     return {}
 
 

@@ -1,4 +1,4 @@
-"""Runs the oscillators of a wave set, on the CPU or a GPU, and sums the waves at points."""
+"""Run the oscillators of a wave set, on the CPU or a GPU, and sum the waves at points."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,11 +18,11 @@ from warp_kernels import oscillators as kernels
 CHUNK_NUMBERS = 4_000_000
 """Approximate largest number of doubles of the drive or the result of one chunk of waves."""
 LEAST_CHUNKS = 8
-"""Number of parts of the work; the same on all machines, because the order of the sums follows from it."""
+"""Least number of parts of the work; the same on all machines, because the order of the sums depends on it."""
 
 
 def tables(waves: WaveSet, line: Timeline) -> list[tuple[Any, Any]]:
-    """Return the poles, residues and e^{s h}, padded to one width, with their Warp types in the order of the kernel."""
+    """Return poles, residues and e^{s h}, padded to one width, with their Warp types, in the order of the kernel."""
     counts = np.array([len(m.poles) for m in waves.modes], dtype=np.int32)
     width = int(counts.max())
     groups = len(counts)
@@ -55,9 +55,8 @@ def march(
 ) -> Float:
     """Return the sum over all waves of to_points(part, amplitude), see `waves.at_points`, in chunks of waves.
 
-    force_on: the force on a part of the waves, as from `drive`; None where the waves are plane or axial.
-
-    Chunks run in parallel on the CPU and are added in their order, so that the sum is always the same.
+    force_on: returns the force on a part of the waves, as `drive`; None if the waves are plane or axial.
+    Chunks run in parallel on the CPU and are added in a fixed order, so that the sum is always the same.
     """
     shared = tables(waves, line)
     width = shared[1][0].shape[2]

@@ -10,18 +10,18 @@ from palmfield.skin.solvers.lateral_waves.depth import DepthProblem
 from palmfield.types import Complex, Float
 
 SLOWEST = 1e-3
-"""Radians within the requested time below which a mode counts as free; moving it there changes t^2/2 by 1e-7."""
+"""Phase within the requested time [rad] below which a mode counts as free; this changes t^2/2 by 1e-7."""
 RUSH_1_S = 1e4
 LONGEST_S = 5e-3
-"""Time up to which the part of a slow mode in the step response is compared with the other modes [s]."""
+"""Largest time at which the step response of a slow mode is compared with the other modes [s]."""
 
 
 @dataclass(frozen=True)
 class FaceModes:
-    """Motion of the face under a unit normal pressure e^{ikx}, as u_z = sum normal / (s - poles), u_x = i sum lateral /
-    (s - poles); poles come with their conjugates.
+    """Motion of the face under a unit normal pressure e^{ikx}: u_z = sum normal / (s - poles), u_x = i sum lateral /
+    (s - poles).
 
-    poles: [1/s], shape (j,); normal, lateral: residues [m/(Pa s)], shape (j,)
+    poles: with their conjugates [1/s], shape (j,); normal, lateral: residues [m/(Pa s)], shape (j,)
     """
 
     poles: Complex
@@ -29,7 +29,7 @@ class FaceModes:
     lateral: Complex
 
     def static(self) -> tuple[float, float]:
-        """Return u_z and u_x / i per unit of pressure at rest [m/Pa]."""
+        """Return the static u_z and u_x / i per unit of pressure [m/Pa]."""
         return float(-np.sum(self.normal / self.poles).real), float(-np.sum(self.lateral / self.poles).real)
 
 
@@ -45,15 +45,15 @@ class ModalProblem:
 
 
 def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> ModalProblem:
-    """Return the undamped modes that matter for the face, and the static shapes of all the others.
+    """Return the undamped modes that are relevant for the face, and static shapes that replace all others.
 
-    A mode with the part b in the face adds b^2/w^2 (1 - cos wt) to the step response. The smallest modes are left out
-    while the root of their summed squares stays below `tolerance` of all. Their sum is kept as one shape, so that the
-    static solution is that of the whole problem. A second shape does the same for the instantaneous stiffness, which
+    A mode with the part b in the face adds b^2/w^2 (1 - cos wt) to the step response. The smallest modes are omitted
+    as long as the root of their summed squares is below `tolerance` of that of all. Their sum stays as one shape, so
+    that the static solution does not change. A second shape does the same for the instantaneous stiffness, which
     includes the branches.
     """
     root = cholesky(problem.mass)
-    # From the factor, whose values have errors of 1e-16 of the largest; its square would have 1e-16 of that squared
+    # Singular values of the factor have errors of 1e-16 of the largest; eigenvalues of the stiffness have more
     values, shapes = np.linalg.svd(solve_triangular(root, problem.strain.T, trans="T").T, full_matrices=False)[1:]
     shapes = solve_triangular(root, shapes.T)
     squares = np.maximum(values**2, (SLOWEST / horizon_s) ** 2)
@@ -105,9 +105,9 @@ def _factor(rows: Float) -> Float:
 
 
 def face_modes(problem: DepthProblem, horizon_s: float, tolerance: float) -> FaceModes:
-    """Return the poles and residues for times up to horizon_s [s], to a relative `tolerance` of the step response.
+    """Return poles and residues for times up to horizon_s [s], to a relative tolerance of the step response.
 
-    The state (u, u', L^T q) obeys A x' = B x + force with A and B symmetric, so x^T A x gives the residues.
+    The state (u, u', L^T q) satisfies A x' = B x + force with symmetric A and B, so x^T A x gives the residues.
     """
     model = reduce(problem, horizon_s, tolerance)
     n = len(model.normal)
@@ -135,13 +135,13 @@ def face_modes(problem: DepthProblem, horizon_s: float, tolerance: float) -> Fac
     share = np.hypot(np.abs(normal), np.abs(lateral)) / np.maximum(np.abs(poles), 1.0 / min(horizon_s, LONGEST_S))
     ordered = np.sort(share)
     dropped = np.cumsum(ordered) < 0.1 * tolerance * share.sum()
-    # Just below the first kept value, so that conjugates are kept or omitted together
+    # The limit is just below the first kept value, so that conjugates are kept or omitted together
     kept = share >= (1.0 - 1e-6) * ordered[~dropped][0]
     return FaceModes(poles[kept], normal[kept], lateral[kept])
 
 
 def still_modes(problem: DepthProblem) -> FaceModes:
-    """Return one pole with which the face reaches its static solution in a time that is negligible against a second."""
+    """Return one pole that is so fast that the face reaches its static solution in a negligible time."""
     force = np.zeros(len(problem.mass))
     force[problem.normal] = -1.0
     shape = _solved(problem.strain, force)

@@ -1,8 +1,8 @@
-"""Choose the radial wavenumbers: Gauss panels, halved until the step response of the slab is integrated accurately.
+"""Choose the radial wavenumbers: Gauss panels are halved until the step response of the slab is integrated accurately.
 
-Any load is a sum of steps, so nodes that integrate the step response at all times and distances in question serve any
-load. A mode w(k) rotates the phase of the integrand by dw/dk t, the distance that its waves travel in the time t. The
-panels must resolve this distance plus that of the points. The damping of the modes limits it.
+Any load is a sum of steps. So nodes that integrate the step response at all times and distances are valid for any load.
+The phase of the integrand for a mode w(k) changes by dw/dk t per wavenumber: the distance that its waves travel in time
+t. The panels must resolve this distance plus the distance of the points. The damping of the modes limits it.
 """
 
 from collections.abc import Callable
@@ -29,9 +29,8 @@ MOST_LEVELS = 24
 class RadialRule:
     """Integral over k of f(k) as sum weights f(wavenumbers).
 
-    wavenumbers, weights: [rad/m], shape (m,); modes: modes of the face at each; error: estimate, relative to the
-    integral
-    panels: ends of the panels [rad/m]
+    wavenumbers, weights: [rad/m], shape (m,); modes: modes of the face at each wavenumber
+    error: estimated error relative to the integral; panels: ends of the panels [rad/m]
     """
 
     wavenumbers: Float
@@ -44,16 +43,17 @@ class RadialRule:
 def compute_modes(
     modes_at: Callable[[float], FaceModes], wavenumbers: Float, threads: int | None
 ) -> tuple[FaceModes, ...]:
-    """Modes at each wavenumber, in parallel: LAPACK releases the GIL, and its matrices are too small for more than
-    one of its own threads."""
+    """Return the modes at each wavenumber, computed in parallel: LAPACK releases the GIL, and its matrices are too
+    small for several BLAS threads."""
     with one_blas_thread, ThreadPoolExecutor(threads or python_threads()) as pool:
         return tuple(pool.map(modes_at, wavenumbers))
 
 
 def step_response(modes: FaceModes, times: Float, pace_1_s: float) -> Float:
-    """Normal displacement and velocity after a unit step of pressure, shape (2, t). Parts of the velocity that are
-    faster than the load are omitted, for example echoes of a pressure wave, because a slower load does not excite
-    them."""
+    """Return normal displacement and velocity after a unit step of pressure, shape (2, t).
+
+    Parts of the velocity that are faster than the load, such as echoes of a pressure wave, are omitted: a slower load
+    does not excite them."""
     turned = np.outer(times, modes.poles)
     moved = np.expm1(turned) / modes.poles
     slow = modes.normal / (1.0 + np.abs(modes.poles / pace_1_s) ** 2)
@@ -71,12 +71,12 @@ def radial_rule(
     panels: Float | None = None,
     threads: int | None = None,
 ) -> RadialRule:
-    """Nodes from 0 to k_end [rad/m] for loads whose transform has the size profile(k), for points up to farthest_m from
-    the load and times up to horizon_s after it; pace: rate of change of such a load
-    at k [1/s]; panels: ends of the first panels, from a coarser rule.
+    """Return the nodes from 0 to k_end [rad/m] for loads whose transform has the size profile(k).
 
-    The Legendre coefficients of each panel show how the integrand is resolved: n Gauss nodes integrate degree 2n - 1.
-    So where coefficients fall geometrically the error is about the square of the last over the first.
+    farthest_m: largest distance of points from the load [m]. horizon_s: largest time after the start of the load [s].
+    pace: rate of change of the load at k [1/s]. panels: ends of the first panels, from a coarser rule.
+    The Legendre coefficients of each panel give the error: n Gauss nodes integrate degree 2n - 1 exactly. If the
+    coefficients fall geometrically, the error is about the square of the last over the first.
     Raises SceneError if MOST_PANELS are not enough.
     """
     points, weights = leggauss(NODES)
@@ -86,7 +86,7 @@ def radial_rule(
     distances = farthest_m * np.array([0.0, 0.1, 0.3, 0.6, 1.0])
 
     def measured(low: float, high: float, k: Float, modes: tuple[FaceModes, ...]) -> tuple:
-        """Return the nodes, their modes, integral and its error for each quantity, time and distance."""
+        """Return the nodes, their modes, and the integral with its error for each quantity, time and distance."""
         half = 0.5 * (high - low)
         moved = np.stack([step_response(m, times, pace(value)) for value, m in zip(k, modes, strict=True)])
         values = (k * profile(k))[:, None, None, None] * moved[..., None] * j0(np.outer(k, distances))[:, None, None, :]

@@ -9,15 +9,16 @@ from palmfield.skin.problem import Load, Slab, Spot, spread
 from palmfield.types import Float
 
 SUDDEN_1_S = 2.0 * math.pi * 500.0
-"""Rate of change up to which the velocity after a sudden load is resolved laterally [1/s], like the displacement."""
+"""Largest rate of change [1/s] for which the lateral resolution of velocities after a sudden load is that of motion."""
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """Resolution of a solution. tolerance: tolerance of each single part (wavenumbers, angles, modes, cut), relative;
-    degree: initial polynomial degree.
-    per_radian: further degrees per radian of wave through half a sheet; pace_1_s: largest rate of change of the load;
-    speed_m_s: its largest speed"""
+    """Resolution of a solution.
+
+    tolerance: relative, of each part (wavenumbers, angles, modes, omitted short waves); degree: initial degree of the
+    polynomials; per_radian: added degrees per radian of wave through half a sheet;
+    pace_1_s, speed_m_s: largest rate of change and largest speed of the load"""
 
     tolerance: float
     degree: int
@@ -30,24 +31,24 @@ class Resolution:
         return -math.log10(self.tolerance)
 
     def pace(self, k: float) -> float:
-        """Rate of change of the load on a wave [1/s]: by amplitude and path; sudden changes count as SUDDEN_1_S."""
+        """Return the rate of change of the load on a wave [1/s], by amplitude and path; sudden changes: SUDDEN_1_S."""
         return min(self.pace_1_s, SUDDEN_1_S) + k * self.speed_m_s
 
     def cut(self, fwhm_m: float) -> float:
-        """Return the wavenumber [rad/m] from which the transform of a Gaussian spot, exp(-(k s)^2 / 2), is left out."""
+        """Return the wavenumber [rad/m] from which the transform of a Gaussian spot, exp(-(k s)^2 / 2), is omitted."""
         return math.sqrt(2.0 * math.log(4.0 / self.tolerance)) / spread(fwhm_m)
 
     def angles(self, k: Float, farthest_m: float) -> np.ndarray:
-        """Even number of directions over the circle for points up to farthest_m from the load, shape of k.
+        """Return an even number of directions over the circle for points up to farthest_m from the load, shape of k.
 
-        n directions see J_n(k r) as J_0; it falls like exp(-2^{3/2}/3 (n - x)^{3/2} x^{-1/2}) from n = x = k r on.
+        With n directions the error is J_n(k r). It falls like exp(-2^{3/2}/3 (n - x)^{3/2} x^{-1/2}) for n > x = k r.
         """
         x = k * farthest_m
         beyond = (1.5 / math.sqrt(2.0) * 2.3 * self.digits) ** (2.0 / 3.0)
         return 2 * np.ceil(0.5 * (x + beyond * np.cbrt(x) + self.digits + 2.0)).astype(int)
 
     def degrees(self, slab: Slab, k: float) -> tuple[int, ...]:
-        """Return the polynomial degree of each sheet: enough for the wave that a running, changing load makes in it."""
+        """Return the polynomial degree of each sheet: enough for the waves of a moving, changing load."""
         result = []
         for sheet in slab.sheets:
             speed = math.sqrt(sheet.material.shear_relaxed_Pa / sheet.material.density_kg_m3)
@@ -58,7 +59,7 @@ class Resolution:
 
 
 def choose(load: Load, tolerance: float) -> Resolution:
-    """Return the resolution whose parts each err by about `tolerance`."""
+    """Return the resolution whose parts each have an error of about `tolerance`."""
     values = load.peak_Pa[:, None] if isinstance(load, Spot) else load.pressure_Pa
     size = float(np.abs(values).max()) or 1.0
     steps = np.diff(load.times_s)

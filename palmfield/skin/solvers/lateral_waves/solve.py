@@ -1,4 +1,4 @@
-"""The solver 'lateral_waves': every slab whose lateral waves are known, exact in time."""
+"""Solver lateral_waves: exact in time, for every slab whose lateral waves have a closed form."""
 
 import time
 from dataclasses import dataclass, replace
@@ -18,23 +18,22 @@ from palmfield.skin.solvers.lateral_waves.waves import at_points
 from palmfield.types import Complex, Float
 
 FINER, SAFETY = 0.2, 2.0
-"""Tolerance of the run for the error estimate over that of the solution, and the factor on their difference: on 23
-random slabs the error was 0.7 to 1.7 times the difference, on two weak ones more."""
+"""Tolerance of the run for the error estimate over that of the solution, and factor on their difference. On 23 random
+slabs the error was 0.7 to 1.7 times the difference; on two with weak motion it was more."""
 MOMENT_SAFETY = 4.0
-"""The same at fewer than eight times, over which errors at a point do not average: up to 2.4 at a faint one."""
+"""The same factor for fewer than eight times: errors at a point do not average. It was up to 2.4 at a weak point."""
 PICTURE_FINER, PICTURE_SAFETY = 0.35, 2.5
-"""The same for a snapshot of many points, in which faint points have little weight: 3 gave the same error as with
-0.2.
-"""
+"""The same two numbers for a snapshot of many points, in which weak points have little weight. On three snapshots the
+error was the same as with 0.2."""
 FINEST = 1e-9
 RETRIES = 3
 PART = 0.5
-"""Tolerance of each part of the solution relative to the target accuracy."""
+"""Tolerance of each part of the solution over the target accuracy."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Options of a solution, as the arguments of solve_lateral_waves; still: whether the solution is static."""
+    """Options of a solution: arguments of solve_lateral_waves; still: whether the solution is static."""
 
     tolerance: float | None
     device: str
@@ -44,7 +43,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Run:
-    """One solution: displacement and velocity, shape (t, n, 3), and its size in numbers."""
+    """One solution: displacement and velocity, shape (t, n, 3), and the size of its wave set."""
 
     displacement: Float
     velocity: Float
@@ -57,12 +56,12 @@ class Run:
 def solve_lateral_waves(problem: SkinProblem, *, tolerance: float | None = None, threads: int | None = None) -> Motion:
     """Return the displacement and velocity of the face of a slab at points and times; see `refusal_lateral_waves`.
 
-    tolerance: tolerance of wavenumbers, angles, depth modes and cut, each; with it there is no refinement.
-    threads: number of threads on the CPU; None uses all cores.
+    tolerance: tolerance of each part (wavenumbers, angles, depth modes, omitted short waves); it switches refinement
+        off. threads: number of threads on the CPU; None uses all cores.
     The error is estimated by a run with a fifth of the tolerance, and one wavenumber more on a disc or box, at up to
-    four of the points. For a snapshot (fewer than eight times, more than 32 points) it is estimated by a run with a
-    third, over 200 of them together.
-    Raises SceneError where `refusal_lateral_waves` has a reason, and for points or an accuracy out of range.
+    four of the points. For a snapshot (fewer than eight times, more than 32 points) the second run has a third of the
+    tolerance and 200 points, with one error for all.
+    Raises SceneError if `refusal_lateral_waves` returns a reason, and for points or an accuracy out of range.
     """
     slab = accepted(problem)
     return _solve(slab, problem, settings_of(tolerance, problem.device, threads))
@@ -78,11 +77,9 @@ def static_lateral_waves(
     tolerance: float | None = None,
     threads: int | None = None,
 ) -> Motion:
-    """Return the displacement at rest under the load at its last time, shape (1, n, 3).
+    """Return the static displacement under the load at its last time, shape (1, n, 3).
 
-    Arguments are as for solve_lateral_waves.
-
-    Raises SceneError as solve_lateral_waves, and for a base without support.
+    Arguments as for solve_lateral_waves. Raises SceneError as solve_lateral_waves, and for a base without support.
     """
     problem = SkinProblem(body, last_of(load), np.ones(1), at, accuracy, device=device)
     slab = accepted(problem)
@@ -95,7 +92,7 @@ def static_lateral_waves(
 
 
 def last_of(load: Load) -> Load:
-    """Return the load held at its last value, from time 0 on."""
+    """Return the load with its last value, constant from time 0 on."""
     begin = np.zeros(1)
     if isinstance(load, Spot):
         return Spot(load.fwhm_m, begin, load.peak_Pa[-1:], load.centres()[-1:], "held")
@@ -103,7 +100,7 @@ def last_of(load: Load) -> Load:
 
 
 def accepted(problem: SkinProblem) -> Slab:
-    """The body, which is a slab. Raises SceneError with the reason where the solver refuses, or a wrong accuracy."""
+    """Return the body. Raises SceneError if `refusal_lateral_waves` returns a reason, or for a wrong accuracy."""
     problem.refuse("lateral_waves", refusal_lateral_waves)
     assert isinstance(problem.body, Slab)
     if not 1e-7 <= problem.accuracy <= 0.5:
@@ -166,8 +163,8 @@ def run(
 ) -> Run:
     """Return one solution at one tolerance.
 
-    panels: panels of a coarser run, to begin with; farther: whether it includes one wavenumber of the body beyond the
-    spot, so that a run with the same tolerance or a somewhat larger one has fewer of them
+    panels: initial panels, from a coarser run; farther: whether to add one wavenumber of the body beyond the spot, so
+    that the run has more wavenumbers than a run with the same or a slightly larger tolerance
     """
     line = timeline(load, requested)
     assert line is not None

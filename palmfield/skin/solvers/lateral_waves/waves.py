@@ -1,7 +1,7 @@
-"""Sets of lateral waves that compose a load, and their sum at points. A wave set has for each wave its modes in depth
-and its weight; its amplitude is the transform of the load at its wavenumber. Axial sets are J0(k r) about a centre;
-plane ones e^{ik.x}, one of each pair k, -k.
-"""
+"""Sets of lateral waves that compose a load, and their sum at points.
+
+A wave set has modes in depth and a weight for each wave. The amplitude of a wave is the transform of the load at its
+wavenumber. Axial waves are J0(k r) about a centre. Plane waves are e^{ik.x}, one of each pair k, -k."""
 
 from dataclasses import dataclass
 
@@ -20,11 +20,11 @@ GRID_FROM = 64
 
 @dataclass(frozen=True)
 class WaveSet:
-    """A set of waves. modes: modes in depth, of each group of waves; group: group of each wave, shape (n,); weights:
-    shape (n,).
+    """A set of waves.
+
+    modes: modes in depth of each group of waves. group: group of each wave, shape (n,). weights: shape (n,).
     vectors: k [rad/m], shape (n, 2), of plane waves; axial waves have (k, 0).
-    centre: centre of axial waves [m], shape (2,); None for plane ones.
-    """
+    centre: centre of axial waves [m], shape (2,); None for plane waves."""
 
     modes: tuple[FaceModes, ...]
     group: Int
@@ -37,7 +37,7 @@ class WaveSet:
 
 
 def hankel(rule: RadialRule, centre: Float) -> WaveSet:
-    """Return the axial waves of the endless slab: integral of k dk / 2 pi."""
+    """Return the axial waves of the infinite slab: integral of k dk / 2 pi."""
     count = len(rule.wavenumbers)
     vectors = np.stack([rule.wavenumbers, np.zeros(count)], axis=1)
     weights = rule.weights * rule.wavenumbers / (2.0 * np.pi)
@@ -45,7 +45,7 @@ def hankel(rule: RadialRule, centre: Float) -> WaveSet:
 
 
 def fourier_bessel(radius_m: float, k_end: float) -> tuple[Float, Float]:
-    """Wavenumbers [rad/m] with J1(k R) = 0 up to k_end, and the weight of J0(k r) for the transform of a load."""
+    """Return wavenumbers [rad/m] with J1(k R) = 0 up to k_end, and weights of J0(k r) for the transform of a load."""
     count = int(k_end * radius_m / np.pi) + 2
     zeros = np.concatenate([[0.0], jn_zeros(1, count)])
     zeros = zeros[zeros <= max(k_end * radius_m, zeros[1])]
@@ -53,7 +53,7 @@ def fourier_bessel(radius_m: float, k_end: float) -> tuple[Float, Float]:
 
 
 def polar(rule: RadialRule, angles: Int) -> WaveSet:
-    """Plane waves of the endless slab: integral of k dk d(angle) / 4 pi^2 by the trapezoid rule in angle."""
+    """Return the plane waves of the infinite slab: integral of k dk d(angle) / 4 pi^2, trapezoid rule in angle."""
     group, vectors, weights = [], [], []
     for number, (k, weight, count) in enumerate(zip(rule.wavenumbers, rule.weights, angles, strict=True)):
         direction = 2.0 * np.pi * np.arange(count // 2) / count
@@ -64,8 +64,7 @@ def polar(rule: RadialRule, angles: Int) -> WaveSet:
 
 
 def lattice(size_m: tuple[float, float], k_end: float) -> tuple[Float, Float, Float, Int]:
-    """Plane waves with the periods 2 size_m, up to k_end: vectors, weights, wavenumbers, and the number of the
-    wavenumber of each wave."""
+    """Return vectors, weights, wavenumbers and wavenumber index of plane waves with periods 2 size_m, up to k_end."""
     steps = np.pi / np.asarray(size_m)
     reach = np.ceil(k_end / steps).astype(int)
     m, n = np.meshgrid(np.arange(reach[0] + 1), np.arange(-reach[1], reach[1] + 1), indexing="ij")
@@ -80,7 +79,7 @@ def lattice(size_m: tuple[float, float], k_end: float) -> tuple[Float, Float, Fl
 
 
 def mirrored(points: Float, size_m: tuple[float, float]) -> list[tuple[Float, Float]]:
-    """Return the points and their images in two walls of a box, each with the signs of its vector components."""
+    """Return the points and their images in two walls of a box, each with signs of the vector components."""
     result = []
     for across in (False, True):
         for along in (False, True):
@@ -94,7 +93,7 @@ def mirrored(points: Float, size_m: tuple[float, float]) -> list[tuple[Float, Fl
 
 
 def at_points(waves: WaveSet, part: slice, amplitude: Complex, points: Float) -> Float:
-    """Return the sum of the waves of a part of the set at points (p, 2): vectors, shape (rows, 2, p, 3).
+    """Return the sum of a part of the waves at points (p, 2): displacement and velocity, shape (rows, 2, p, 3).
 
     amplitude: normal and lateral displacement and velocity by row and wave, shape (rows, n, 4)
     """
@@ -134,7 +133,7 @@ def plane_sum(vectors: Float, values: Complex, points: Float) -> Float:
         sums = np.empty((len(values), len(points)))
         for number, row in enumerate(values):
             left = along * row
-            # A real product of twice the length has half the work of a complex one with an unused imaginary part
+            # A real product of twice the length needs half the work of a complex product with unused imaginary part
             sums[number] = (np.concatenate([left.real, -left.imag], axis=1) @ across)[place_x, place_y]
         return sums
     result = np.empty((len(values), len(points)))
@@ -156,7 +155,7 @@ def transform(vectors: Float, values: Float, points: Float) -> Complex:
 
 
 def _grid(points: Float) -> tuple[np.ndarray, ...] | None:
-    """Return the coordinates of the rows and columns of the points, and those of each point, if they fill a grid."""
+    """Return coordinates of rows and columns of a grid, and row and column of each point; None if there is no grid."""
     if len(points) < GRID_FROM:
         return None
     scale = np.abs(points).max() or 1.0

@@ -1,15 +1,15 @@
-"""Particles and their pairs: volumes, masses, and the area vectors that make gradients and forces.
+"""Particles and their pairs: volumes, masses, and the area vectors for gradients and forces.
 
-The area vector of a pair is a_sj = integral over the cells between particles of N_s grad N_j, with N the (tri)linear
-shape functions: the projection of the gradient with lumped volumes (Dohrmann et al. 2000, Int. J. Numer. Meth. Engng
-47, 1549, average it; Chen, Wu, Yoon & You 2001, ibid. 50, 435, smooth it). On a square lattice that is the kernel
-gradient of total-Lagrangian SPH, with weights 2/9, 1/18 and 1/72 on the faces, edges and corners of the cube round a
-particle, after its linear correction. At the faces of the body two exact conditions hold at once, for corrected
-kernels only the first.
+The area vector of a pair is a_sj = integral of N_s grad N_j over the cells between particles; N are the (tri)linear
+shape functions. This is the projection of the gradient with lumped volumes (averaged in Dohrmann et al. 2000, Int. J.
+Numer. Meth. Engng 47, 1549; smoothed in Chen, Wu, Yoon & You 2001, ibid. 50, 435). On a square lattice it is the kernel
+gradient of total-Lagrangian SPH after linear correction, with weights 2/9, 1/18 and 1/72 on the faces, edges and
+corners of the cube round a particle. At the faces of the body two conditions are exact; corrected kernels satisfy only
+the first:
     sum_j a_sj (X_j - X_s) = V_s I              gradients of linear fields are exact.
     sum_s a_sj = area vector of the face at j   uniform stress is in balance with its traction.
-With forces f_sj = P_s a_sj on the particle of the site and -f_sj on its neighbour, they are the derivative of sum_s V_s
-psi(F_s): linear and angular momentum and energy are those of the body.
+The forces are f_sj = P_s a_sj on the particle of the site and -f_sj on its neighbour. They are the derivative of
+sum_s V_s psi(F_s), so linear and angular momentum and energy are those of the body.
 """
 
 from dataclasses import dataclass
@@ -26,19 +26,19 @@ from palmfield.types import Float, Int
 
 @dataclass(frozen=True)
 class Cloud:
-    """Particles of a body; n particles, s sites, at most k pairs a site, b pairs in which a particle is the neighbour.
+    """Particles of a body: n particles, s sites, at most k pairs per site and b pairs with a particle as neighbour.
 
     points: rest positions [m], shape (n, 3). mass: [kg], (n,).
-    free: projector on the directions in which each may move, (n, 3, 3).
-    materials: one for each law. law: law of each site, (s,). owner: particle of each site, rising, (s,).
-    volume: [m^3], (s,). site_start: first site of each particle, and their number, (n + 1,).
-    count: pairs of each site, (s,). neighbour: other particle, (s, k). offset: X_j - X_s [m], (s, k, 3).
-    area: a_sj [m^2], (s, k, 3). spring: weight of a pair against the gradient of its site [m], (s, k).
+    free: projector on the directions in which each particle may move, (n, 3, 3).
+    materials: one for each law. law: law of each site, (s,). owner: particle of each site, ascending, (s,).
+    volume: [m^3], (s,). site_start: first site of each particle, then the number of sites, (n + 1,).
+    count: number of pairs of each site, (s,). neighbour: other particle, (s, k). offset: X_j - X_s [m], (s, k, 3).
+    area: a_sj [m^2], (s, k, 3). spring: stiffness weight against deviations from the gradient of the site [m], (s, k).
     moment: sum_j spring offset offset^T [m^3], (s, 3, 3).
-    has_memory: whether the site and its neighbours are of one material, (s,).
-    incoming: s * k + slot of the pairs in which a particle is the neighbour, (n, b). incoming_count: (n,).
-    surface: number within the face of each particle, -1 below it, (n,); face_area: outward area vector [m^2] of the
-        particles of the face, which come first, (f, 3); columns: columns of the particles.
+    has_memory: whether the site and its neighbours have one material, (s,).
+    incoming: s * k + slot of the pairs with a particle as neighbour, (n, b). incoming_count: number of these, (n,).
+    surface: number of each particle in the face, -1 below the face, (n,). face_area: outward area vector [m^2] of the
+        particles of the face, which come first, (f, 3). columns: columns of the particles.
     """
 
     points: Float
@@ -64,7 +64,7 @@ class Cloud:
 
 
 def build_cloud(body: Body, spacing_m: float, fewest_cells: int = FEWEST_CELLS) -> Cloud:
-    """Particles of a body. Raises SceneError as columns_of, and for an inside-out cell, with its place."""
+    """Return the particles of a body. Raises SceneError as columns_of, and for an inverted cell, with its place."""
     columns = columns_of(body, spacing_m, fewest_cells)
     points = columns.points()
     materials = tuple(dict.fromkeys(sheet.material for sheet in body.sheets))
@@ -85,7 +85,7 @@ def build_cloud(body: Body, spacing_m: float, fewest_cells: int = FEWEST_CELLS) 
     other = column != owner[row]
     row, column, pair_area = row[other], column[other], pair_area[other]
     offset = points[column] - points[owner[row]]
-    # The least-squares weight for this area vector; a few at faces and slivers have the wrong sign.
+    # The least-squares weight for this area vector; at faces and thin cells a few have the wrong sign
     spring = np.maximum(np.einsum("pc,pc->p", pair_area, offset), 0.0) / np.einsum("pc,pc->p", offset, offset)
     moment = np.zeros((sites, 3, 3))
     np.add.at(moment, row, spring[:, None, None] * offset[:, :, None] * offset[:, None, :])
@@ -139,11 +139,10 @@ def _padded(values: Float, row: Int, slot: Int, sites: int, width: int) -> Float
 
 
 def _cell_pairs(columns: Columns, points: Float, law_of_sheet: Int, laws: int) -> tuple[Int, Int, Float, Float]:
-    """Every (site key, particle) of every cell with its area vector, and the volume share of the cell in the entry of
-    the site itself.
+    """Return site keys and particles of all pairs of all cells, area vectors, and volume shares (0 for other pairs).
 
-    The key of a site is particle * laws + law, so that a particle between two materials gets a site in each.
-    """
+    The key of a site is particle * laws + law, so that a particle between two materials has a site in each. The volume
+    share of a cell is in the entry of the site with its own particle."""
     rows, nodes, areas, shares = [], [], [], []
     for faces in (columns.triangles, columns.squares):
         if len(faces) == 0:
@@ -180,7 +179,7 @@ def _check_cells(determinant: Float, jacobian: Float, corners: Float) -> None:
 
 
 def _face_rule(corners: int) -> tuple[Float, Float, Float]:
-    """Shape functions (q, corners), their slopes (q, corners, 2) and weights (q,) of a triangle or a square."""
+    """Return shape functions (q, corners), slopes (q, corners, 2) and weights (q,) of a triangle or a square."""
     if corners == 3:
         # Strang & Fix, degree 2: the midpoints of the sides.
         x, y = np.array([0.5, 0.5, 0.0]), np.array([0.0, 0.5, 0.5])
@@ -194,8 +193,7 @@ def _face_rule(corners: int) -> tuple[Float, Float, Float]:
 
 
 def _prism_rule(corners: int) -> tuple[Float, Float, Float]:
-    """As _face_rule, for the solid over a face: 2 * corners shape functions, the lower face first, slopes (q, 2 *
-    corners, 3)."""
+    """Return the same as _face_rule for the solid on a face: 2 * corners shape functions, lower face first."""
     shape, slopes, weights = _face_rule(corners)
     values, gradients = [], []
     for z in (-1.0 / np.sqrt(3.0), 1.0 / np.sqrt(3.0)):
@@ -208,8 +206,7 @@ def _prism_rule(corners: int) -> tuple[Float, Float, Float]:
 
 
 def _face_areas(columns: Columns, points: Float) -> Float:
-    """Outward area vector of each particle of the face: the integral of its shape function times the normal, shape (f,
-    3)."""
+    """Return outward area vectors of the particles of the face, (f, 3): integrals of shape function times normal."""
     total = np.zeros((len(columns.face), 3))
     for faces in (columns.triangles, columns.squares):
         if len(faces):

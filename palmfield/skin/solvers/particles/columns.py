@@ -1,4 +1,4 @@
-"""Places of particles: in columns below a face of triangles and squares."""
+"""Places of particles, in columns below a face of triangles and squares."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from palmfield.skin.problem import Body, Layer, Slab
 from palmfield.types import Float, Int
 
 FEWEST_CELLS = 3
-"""Cells through the depth: two err by 20 % on a thin bonded layer, whatever the spacing along the face."""
+"""Least number of cells through the depth. With two cells the error on a thin bonded layer is 20 % at any spacing."""
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,11 @@ class Columns:
     """Columns of particles, from the face down.
 
     face: positions of the particles of the face [m], shape (n, 3). inward: unit directions, (n, 3). depth: [m], (n,).
-    triangles: (t, 3), squares: (q, 4), counter-clockwise seen from outside, either may be empty.
+    triangles: (t, 3), squares: (q, 4), counter-clockwise seen from outside; one of them may be empty.
     shares: depths of the levels as shares of the depth, from 0 to 1, shape (l,).
     sheet: sheet between a level and the next, shape (l - 1,).
-    rim: particles on the edge of the face, shape (r,), a corner of a box twice; rim_normals: unit, outward, (r, 3), NaN
-        where a layer has none.
+    rim: particles on the edge of the face, shape (r,); a corner of a box appears twice.
+    rim_normals: unit outward normals at these particles, (r, 3); NaN for a layer without axis.
     spacing_m: mean distance of neighbours in the face [m].
     """
 
@@ -51,12 +51,12 @@ class Columns:
 
 
 def columns_of(body: Body, spacing_m: float, fewest_cells: int = FEWEST_CELLS) -> Columns:
-    """Columns of a box or disc (a square lattice, fitted at the rim of the disc) or below the triangles of a layer.
+    """Return the columns of a box or disc (square lattice, fitted at the rim) or below the triangles of a layer.
 
     spacing_m: target distance of particles [m]. It is reduced so that whole numbers fit, and in depth so that there are
-        fewest_cells. In a layer it only sets the levels, because the edges of the patch are given.
-    Raises SceneError for a spacing <= 0 or above half of the body length along the face, an inside-out layer, and a
-    layer with roller sides whose patch has no axis.
+        fewest_cells. In a layer it determines only the levels, because the edges of the patch are given.
+    Raises SceneError for a spacing <= 0 or above half of the body length along the face, an inverted layer, and a layer
+    with roller sides whose patch has no axis.
     """
     if not (math.isfinite(spacing_m) and spacing_m > 0.0):
         raise SceneError(f"particles: spacing_m is {spacing_m}; give a length above 0")
@@ -111,7 +111,7 @@ def _box(body: Slab, spacing_m: float) -> tuple[Float, Int, Int, Int, Float]:
     assert body.size_m is not None
     lines = []
     for size in body.size_m:
-        # An even number of steps puts a particle on the middle.
+        # With an even number of steps there is a particle in the middle
         steps = 2 * math.ceil(0.5 * size / spacing_m - 1e-6)
         lines.append(np.linspace(-0.5 * size, 0.5 * size, steps + 1))
     columns, rows = (len(line) for line in lines)
@@ -125,7 +125,7 @@ def _box(body: Slab, spacing_m: float) -> tuple[Float, Int, Int, Int, Float]:
 
 
 def _disc(body: Slab, spacing_m: float) -> tuple[Float, Int, Int, Int, Float]:
-    """Return the square lattice within the disc, a ring of particles on its rim, triangles between."""
+    """Return the square lattice in the disc, a ring of particles on its rim, and triangles between them."""
     radius = body.radius_m or 0.0
     half = math.floor(radius / spacing_m)
     line = np.arange(-half, half + 1) * spacing_m

@@ -1,4 +1,4 @@
-"""Pressure on the particles of the face, step by step, as means over each step."""
+"""Pressure on the particles of the face: means over each step."""
 
 import numpy as np
 import warp as wp
@@ -14,9 +14,9 @@ from warp_kernels import particles as kernels
 
 
 def integral(times_s: Float, values: Float, law: Law, to_s: Float) -> Float:
-    """Return the integral of a held or piecewise-linear history from its beginning, shape (n, ...).
+    """Return the integral of a held or piecewise-linear history from its first time to to_s, shape (n, ...).
 
-    times_s: shape (f,); values: shape (f, ...), 0 before the first time and kept after the last; to_s: shape (n,)
+    times_s: shape (f,); values: shape (f, ...), 0 before the first time and constant after the last; to_s: shape (n,)
     """
     times, values = np.asarray(times_s, dtype=float), np.asarray(values, dtype=float)
     gaps = np.diff(times).reshape(-1, *[1] * (values.ndim - 1))
@@ -31,13 +31,13 @@ def integral(times_s: Float, values: Float, law: Law, to_s: Float) -> Float:
 
 
 def means(times_s: Float, values: Float, law: Law, at_s: Float, step_s: float) -> Float:
-    """Return the means over the step round each time, shape (n, ...): the load in a step of leapfrog."""
+    """Return the means over a step centred at each time, shape (n, ...): the load of a leapfrog step."""
     ends = [integral(times_s, values, law, at_s + half) for half in (-0.5 * step_s, 0.5 * step_s)]
     return (ends[1] - ends[0]) / step_s
 
 
 class Pressure:
-    """Fills a table (steps, particles of the face) of pressures [Pa] on the device, a block of steps at a time."""
+    """Fills a table (steps, particles of the face) of pressures [Pa] on the device for one block of steps at a time."""
 
     def __init__(self, cloud: Cloud, load: Load, device: str) -> None:
         self.load = load
@@ -48,7 +48,7 @@ class Pressure:
             self.spread = _spread(cloud, load)
 
     def fill(self, table: wp.array, times_s: Float, step_s: float) -> None:
-        """Pressure at the steps' times [s] into the first rows of a table; each is the mean over its step."""
+        """Write the pressures at times [s] into the first rows of a table; each is the mean over its step."""
         load = self.load
         if isinstance(load, Traction):
             frames = means(load.times_s, load.pressure_Pa, load.law, times_s, step_s)
@@ -73,10 +73,10 @@ class Pressure:
 
 
 def _spread(cloud: Cloud, load: Traction) -> sparse.csr_matrix:
-    """Return the pressure at the particles of the face [Pa] by the pressure at the points of the load, shape (f, n)."""
+    """Return the matrix from pressure at the points of the load to pressure at the particles of the face, (f, n)."""
     columns = cloud.columns
     squares = columns.squares
-    # Squares by the mean of both cuts, which gives each corner a quarter of its area
+    # A square is the mean of its two cuts into triangles, so each corner has a quarter of the area
     cuts = [squares[:, cut] for cut in ([0, 1, 2], [0, 2, 3], [1, 2, 3], [1, 3, 0])]
     triangles = np.concatenate([columns.triangles, *cuts])
     corners = columns.face[triangles]

@@ -1,4 +1,4 @@
-"""Displacement at points of the face from the particles near it."""
+"""Displacement at points of the face from the particles near them."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,9 +15,9 @@ def point_weights(columns: Columns, normals: Float, at: Float) -> tuple[Float, I
     """Return the points on the face, and the weights that give their displacement from particles of the face.
 
     normals: outward area vectors of the particles of the face, shape (f, 3); at: shape (n, 3), or (n, 2) on a flat
-    face. Returns points [m] (n, 3), particles (n, k), weights (n, k). Moving least squares in the tangent plane of the
-    nearest particle, with a quadratic basis and weights that grow without bound at a particle (Lancaster & Salkauskas
-    1981): quadratic fields are exact, and so is the displacement of a particle at its own place.
+    face. Returns points [m] (n, 3), particles (n, k), weights (n, k). The method is moving least squares in the tangent
+    plane of the nearest particle, with a quadratic basis and weights that are infinite at a particle (Lancaster &
+    Salkauskas 1981). So quadratic fields are exact, and so is the displacement of a particle at its own place.
     Raises SceneError for other shapes and points that are not finite or farther from all particles than two spacings.
     """
     points = in_space(at)
@@ -38,6 +38,6 @@ def point_weights(columns: Columns, normals: Float, at: Float) -> tuple[Float, I
         away = x**2 + y**2
         root = np.exp(-0.5 * away) / (away + 1e-6)
         basis = np.column_stack([np.ones_like(x), x, y, x**2, x * y, y**2])
-        # The value at the point is the first coefficient of the weighted fit.
+        # The value at the point is the first coefficient of the weighted fit
         weights[row] = np.linalg.pinv(basis * root[:, None], rcond=1e-9)[0] * root
     return points, particles.astype(np.int32), weights

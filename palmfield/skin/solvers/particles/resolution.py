@@ -1,4 +1,4 @@
-"""Spacing of particles for a target error, its cost, and the limits of particles."""
+"""Spacing of particles for a target error, cost of a run, and limits of the solver."""
 
 import itertools
 import math
@@ -14,24 +14,24 @@ from palmfield.skin.problem import ONLY_WEDGES, Body, Layer, Load, SkinProblem, 
 from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
 
 SECONDS_A_STEP = {"cpu": 0.9e-6, "cuda": 2.0e-9}
-"""Seconds of a step per particle: measured on one core; on a GPU the time for its 1.5 kB at 0.75 TB/s."""
+"""Time of a step per particle [s]: measured on one CPU core; on a GPU, the time to read 1.5 kB at 0.75 TB/s."""
 STIFFEST = 1e5
-"""Instantaneous bulk over shear modulus above which the step is so small that the solver refuses (nu 0.499995)."""
+"""Largest allowed ratio of instantaneous bulk to shear modulus (nu 0.499995); above it the step is too small."""
 BELOW = 0.6
-"""Error by the square of the spacing in depth over the depth."""
+"""Error over the square of (spacing in depth / depth)."""
 FINEST = 2e-3
-"""Least target error for which a spacing is chosen."""
+"""Least target error for the choice of a spacing."""
 STIFFER = 100.0
-"""Stiffness of a sheet over that of one below it, above which the solver refuses. On a bed 1/100 as stiff, a sheet one
-cell thick bends a third too little, on one of 1/1000 two fifths, and the stated error is smaller than that."""
+"""Largest allowed stiffness of a sheet over that of a sheet below it. A sheet one cell thick bends a third too little
+on a bed 1/100 as stiff, and two fifths on a bed 1/1000 as stiff; the error estimate is smaller than this."""
 COARSER = 1.5
-"""Spacing of the run that estimates the error, over the requested spacing."""
+"""Spacing of the run for the error estimate over the requested spacing."""
 COARSE_CELLS = 2
-"""Its fewest cells through the depth: COARSER times as high as FEWEST_CELLS make them."""
+"""Least number of cells through the depth in this run: COARSER times as high as with FEWEST_CELLS."""
 
 
 def refusal_particles(body: Body, load: Load) -> str | None:
-    """Return why particles refuse a problem, or None."""
+    """Return the reason why particles cannot solve a problem, in a sentence, or None."""
     if isinstance(body, Slab) and body.shape == "infinite":
         return "particles need a finite body: give the slab a shape 'box' or 'disc'"
     if isinstance(body.base, Foundation):
@@ -61,12 +61,11 @@ def refusal_particles(body: Body, load: Load) -> str | None:
 
 
 def law_error(body: Body, load: Load, spacing_m: float) -> float:
-    """Return the relative error of particles at this spacing [m], measured on discs against the exact layer
-    (docs/bench/skin_particles.md).
+    """Return the relative error of particles at this spacing [m], fitted to discs (docs/bench/skin_particles.md).
 
-    0.65 (h / L)^2 + 0.6 (h_z / H)^2 + 4.6 (h / wavelength)^2: L = min(w, sqrt(w H)) of the width w of the spot, or the
-    length that a narrow body needs under a wide one (`motion_width`); H the depth, h_z the spacing in depth, wavelength
-    that of shear at the mean frequency of the load in its slowest sheet.
+    It is 0.65 (h / L)^2 + 0.6 (h_z / H)^2 + 4.6 (h / wavelength)^2. L = min(w, sqrt(w H)) for spot width w, or
+    `motion_width` for a narrow body under a wide spot; H: depth; h_z: spacing in depth; wavelength: of shear in the
+    slowest sheet at the mean frequency of the load.
     """
     depth = depth_of(body)
     below = min(spacing_m, depth / FEWEST_CELLS)
@@ -74,7 +73,7 @@ def law_error(body: Body, load: Load, spacing_m: float) -> float:
 
 
 def _along_face(body: Body, load: Load) -> float:
-    """Return the error by the square of the spacing along the face [1/m^2]."""
+    """Return the error over the square of the spacing along the face [1/m^2]."""
     width = motion_width(body, load)
     length = min(width, math.sqrt(width * depth_of(body)))
     frequency = max(mean_frequency(load), passing_frequency(load, width))
@@ -86,24 +85,23 @@ def _along_face(body: Body, load: Load) -> float:
 
 
 def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
-    """Return the spacing [m] at which law_error is `accuracy`; the spacing in depth may have to be finer than along the
-    face.
+    """Return the spacing [m] at which law_error is `accuracy`, but at least that for FINEST.
 
-    Below FINEST it is that of FINEST. Raises SceneError for an accuracy that is not above 0 and at most 1.
+    The spacing in depth may be finer than along the face. Raises SceneError unless 0 < accuracy <= 1.
     """
     if not 0.0 < accuracy <= 1.0:
         raise SceneError(f"particles: accuracy is {accuracy}; give 0.002 to 1 (5 % is typical)")
     accuracy = max(accuracy, FINEST)
-    # The error estimate is not valid with fewer than two particles per width in its coarser run.
+    # The error estimate is not valid if its coarser run has fewer than two particles per width
     high = min(length_of(body) / 4.0, motion_width(body, load) / 3.0)
     depth, along = depth_of(body), _along_face(body, load)
-    # With the fewest cells through the depth, or as many as along the face
+    # Two choices in depth: the least number of cells, or the same spacing as along the face
     few = math.sqrt(max(accuracy - BELOW / FEWEST_CELLS**2, 0.0) / along)
     return min(high, few if few >= depth / FEWEST_CELLS else math.sqrt(accuracy / (along + BELOW / depth**2)))
 
 
 def cost_particles(problem: SkinProblem) -> float:
-    """Return the predicted seconds: particles x steps x seconds of one step of one particle."""
+    """Return the predicted time [s]: particles x steps x time of one step of one particle."""
     spacing = choose_spacing(problem.body, problem.load, problem.accuracy)
     return sum(_run_seconds(problem, h) for h in (spacing, COARSER * spacing))
 
@@ -123,14 +121,14 @@ def _run_seconds(problem: SkinProblem, spacing: float) -> float:
         math.sqrt((s.material.bulk_Pa + 4.0 / 3.0 * s.material.shear_instant_Pa) / s.material.density_kg_m3)
         for s in body.sheets
     )
-    # 1.24 spacings at the speed of sound were measured on cubes.
+    # Measured stable step of cubes: time of a pressure wave over 1.24 spacings
     step = 1.24 * math.sqrt(3.0 / (2.0 / along**2 + 1.0 / lowest**2)) / fastest
     steps = max(0.0, float(problem.times[-1]) - float(load.times_s[0])) / step
     return 0.1 + count * steps * SECONDS_A_STEP["cuda" if problem.device.startswith("cuda") else "cpu"]
 
 
 def length_of(body: Body) -> float:
-    """Return the least length along the face [m]."""
+    """Return the least length of a body along its face [m]."""
     if isinstance(body, Layer):
         return float(np.ptp(body.patch.vertices, axis=0).max())
     return min(body.size_m) if body.size_m is not None else 2.0 * (body.radius_m or 0.0)

@@ -1,4 +1,4 @@
-"""Stepping particles: state on the device, the stable step, and displacement histories."""
+"""Steps of particles: state on the device, stable step, and displacement histories."""
 
 import math
 from typing import Any
@@ -15,25 +15,25 @@ from palmfield.types import Float, Int
 from warp_kernels import particles as kernels
 
 HOURGLASS = 4.0 / 3.0
-"""Share of G_r against pairs that stray from the gradient of their site. On a square lattice 4/3 removes the h^2 error
-of shear waves in every direction: in place of k^2 sites alone give k^2 (1 - 4 X / 3)
-and pairs alone k^2 (1 - X / 3), X = (k h / 2)^2."""
+"""Stiffness against deviations of pairs from the gradient of their site, over G_r. On a square lattice 4/3 removes the
+h^2 error of shear waves in every direction: sites without pairs give k^2 (1 - 4 X / 3) instead of k^2, pairs without
+sites k^2 (1 - X / 3), X = (k h / 2)^2."""
 SAFETY = 0.9
-"""Step relative to the stable one: margin for stiffening by strain before a run is repeated."""
+"""Step over the stable step: margin for stiffening by strain before a run is repeated."""
 COURANT = 1.24
 """Stable step of a cube times the speed of sound over the spacing."""
 BLOCK = 256
 """Number of steps between checks of the state."""
 SMALL_STRAIN = 0.1
-"""Displacement gradient up to which (1 + 2 x)^4 is more than any growth of the rates of the body."""
+"""Largest displacement gradient x for which (1 + 2 x)^4 is an upper bound of the growth of all rates of the body."""
 
 
 class CrushedError(SceneError):
-    """The body has come apart, by its load or by a step that is too long for the strain."""
+    """The body has broken apart, because of its load or of a step that is too long for the strain."""
 
 
 class StepTooLongError(Exception):
-    """Strain has stiffened the body so that the step is too long; `step_s` is a sufficient one."""
+    """Strain has stiffened the body so much that the step is too long; `step_s`: a sufficient step [s]."""
 
     def __init__(self, step_s: float) -> None:
         super().__init__(f"a step of {step_s:.3g} s is stable")
@@ -41,10 +41,10 @@ class StepTooLongError(Exception):
 
 
 class Particles:
-    """Particles at rest on a device, ready to step.
+    """Particles on a device, initially at rest.
 
-    step_s: [s], at most stable_step(cloud) for a body that keeps its shape; None leaves stepping out (forces only)
-    displacement [m], velocity [m/s] (half a step behind): Warp arrays (n,) of vec3
+    step_s: [s], at most stable_step(cloud) for small strain; None: only forces, no steps
+    displacement [m], velocity [m/s] (half a step earlier): Warp arrays (n,) of vec3
     """
 
     def __init__(self, cloud: Cloud, device: str, step_s: float | None = None, hourglass: float = HOURGLASS) -> None:
@@ -90,7 +90,7 @@ class Particles:
         self.force = self._rows(np.zeros((sites, width, 3)), wp.vec3)
 
     def _rows(self, values: Any, dtype: Any) -> wp.array:
-        """Return a table whose neighbours in memory are, on a GPU, the same slot of neighbouring particles."""
+        """Return a table in which, on a GPU, equal slots of neighbouring particles are adjacent in memory."""
         if wp.get_device(self.device).is_cuda:
             turned = np.ascontiguousarray(np.swapaxes(values, 0, 1))
             return wp.array(turned, dtype=dtype, device=self.device).transpose()
@@ -118,7 +118,7 @@ class Particles:
         return [*self.sites, *laws, *self.branches, self.hourglass, *state]
 
     def net_forces(self) -> Float:
-        """Internal force on each particle in the present state [N], shape (n, 3); moves the branches by one step."""
+        """Return the internal force on each particle [N], shape (n, 3); this advances the branches by one step."""
         total = self._room(len(self.cloud.points), wp.vec3)
         run_kernel(kernels.site_forces, dim=len(self.cloud.owner), inputs=self._site_inputs(), device=self.device)
         run_kernel(
@@ -129,9 +129,9 @@ class Particles:
     def steps(
         self, rows: int, pressure: wp.array, follower: bool, reader: "Reader | None" = None, first: int = 0
     ) -> None:
-        """Take `rows` steps, one for each row of a table of pressures [Pa] from `first` on.
+        """Do `rows` steps, one for each row of a table of pressures [Pa] from row `first` on.
 
-        reader: reader of points, before each step
+        reader: reads the points before each step
         """
         sites = run_kernel(
             kernels.site_forces, dim=len(self.cloud.owner), inputs=self._site_inputs(), device=self.device,
@@ -153,7 +153,7 @@ class Particles:
             )
 
     def _state_arrays(self) -> list[wp.array]:
-        """Return the part of the state that a step changes: motion by particle, then stresses by site."""
+        """Return the arrays that a step changes: motion by particle, then stresses by site."""
         motion = [self.displacement, self.velocity, self.memory, self.relaxed_displacement]
         return [*motion, self.stress, self.relaxed]
 
@@ -166,14 +166,14 @@ class Particles:
         gather(self._state_arrays(), out)
 
     def check(self, longest_s: float) -> None:
-        """Check that the body is whole and the step still stable; longest_s: longest stable step at rest [s].
+        """Check that the body is whole and the step is still stable; longest_s: longest stable step at rest [s].
 
-        Raises CrushedError where the body has come apart, with the place, and StepTooLongError where it has stiffened.
+        Raises CrushedError, with the place, if the body has broken apart, and StepTooLongError if it has stiffened.
         """
         gradient = self.gradient.numpy().astype(np.float64)
         broken = ~np.isfinite(gradient).all(axis=(1, 2))
         if not broken.any():
-            # No stretch differs from 1 by more than the largest gradient, which is small in most bodies
+            # No stretch differs from 1 by more than the largest gradient, which is usually small
             largest = float(np.linalg.norm(gradient, axis=(1, 2)).max())
             if largest < SMALL_STRAIN and self.step_s * (1.0 + 2.0 * largest) ** 4 <= longest_s:
                 return
@@ -187,7 +187,7 @@ class Particles:
             )
         stretch = np.linalg.svd(deformation, compute_uv=False)
         # Bulk stiffness scales with the square of the cofactor of F, shear stiffness at most with that of F^-1.
-        # Frequencies scale with the root, rates of dashpots with the square.
+        # Frequencies scale with the root of the stiffness, rates of dashpots with the stiffness.
         growth = max(float((stretch[:, 0] * stretch[:, 1]).max()), float((1.0 / stretch[:, 2]).max()))
         if any(material.viscosity_Pa_s > 0.0 for material in self.cloud.materials):
             growth *= growth
@@ -202,7 +202,7 @@ def state_size(cloud: Cloud) -> int:
 
 
 class Reader:
-    """Keeps the displacement at points, a row for each step of a block."""
+    """Stores the displacement at points, one row for each step of a block."""
 
     def __init__(self, particles: Int, weights: Float, device: str) -> None:
         self.device = device
@@ -223,10 +223,9 @@ class Reader:
 def branch_table(
     materials: tuple[Material, ...], branches: int, step_s: float, instant: bool
 ) -> tuple[Float, Float, Float, Float]:
-    """Ratio g and weights e, a, b of q1 = e q0 + a u0 + b u1 (exact for u linear over a step), each (materials,
-    branches).
+    """Return ratios g and weights e, a, b of q1 = e q0 + a u0 + b u1, each (materials, branches).
 
-    instant: the branches have their instantaneous stiffness for any step
+    The weights are exact for u linear over a step. instant: whether branches have their instantaneous stiffness
     """
     table = np.zeros((4, len(materials), branches))
     for row, material in enumerate(materials):
@@ -242,8 +241,8 @@ def branch_table(
 def stable_step(cloud: Cloud, hourglass: float = HOURGLASS) -> float:
     """Return the longest stable step at rest [s]; runs take SAFETY times this.
 
-    Leapfrog with a dashpot on the velocity half a step behind is stable for h^2 w^2 / 4 + h c / 2 <= 1, where w^2 is
-    the greatest eigenvalue of M^-1 K with all branches unrelaxed, and c that of M^-1 C.
+    Leapfrog with a dashpot on the velocity half a step earlier is stable for h^2 w^2 / 4 + h c / 2 <= 1. w^2 is the
+    largest eigenvalue of M^-1 K with unrelaxed branches, and c that of M^-1 C.
     """
     stiff = _largest(cloud, hourglass, dashpots=False)
     damping = _largest(cloud, hourglass, dashpots=True) if any(m.viscosity_Pa_s > 0.0 for m in cloud.materials) else 0.0
@@ -251,7 +250,7 @@ def stable_step(cloud: Cloud, hourglass: float = HOURGLASS) -> float:
 
 
 def likely_step(cloud: Cloud) -> float:
-    """Return an estimate of the stable step [s], from the heights of cells at a corner: 0.6 to 0.9 of it."""
+    """Return an estimate of the stable step [s] from the heights of cells: 0.6 to 0.9 of the stable step."""
     columns = cloud.columns
     levels = columns.points().reshape(len(columns.shares), -1, 3)
     steepest = 0.0
@@ -266,13 +265,13 @@ def likely_step(cloud: Cloud) -> float:
 
 
 def _largest(cloud: Cloud, hourglass: float, dashpots: bool) -> float:
-    """Greatest eigenvalue of M^-1 K [1/s^2] or, of the dashpots alone, of M^-1 C [1/s], by Lanczos on the kernels."""
+    """Return the largest eigenvalue of M^-1 K [1/s^2], or of M^-1 C [1/s] for dashpots, by Lanczos on the kernels."""
     body = Particles(cloud, "cpu", None, hourglass)
     excess = np.array([sum(ratio for ratio, _ in m.relaxation.active) for m in cloud.materials])
     viscous = np.array([m.relaxation.viscous_time_s for m in cloud.materials])
     law = cloud.law[cloud.site_start[:-1]]
     scale = 1.0 / np.sqrt(cloud.mass)[:, None]
-    # Small enough for a linear law, and large enough for all digits of float32.
+    # Small enough for a linear law, and large enough for all digits of float32
     small = 1e-9
     rest = np.zeros_like(cloud.points)
 

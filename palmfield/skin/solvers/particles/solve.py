@@ -33,28 +33,27 @@ from palmfield.skin.solvers.particles.run import (
 from palmfield.types import Float, Int
 
 ORDER = 1.0
-"""Least order observed between two spacings, for motion along the face near nu 0.5; normal to it 1.5 to 2."""
+"""Least observed order between two spacings, for motion along the face near nu = 0.5; normal motion has 1.5 to 2."""
 RESTARTS = 12
 """Largest number of repetitions with a shorter step."""
 LONGEST_S = 3600.0
-"""Predicted time above which a run is refused before it begins."""
+"""Largest predicted time of a run [s]; longer runs are refused."""
 SHORTEST = 1.0 / 8.0
-"""Share of the first step down to which a body that comes apart is tried again: strain may stiffen it, and the step
-become unstable within one block of steps. A body that still comes apart then is crushed."""
+"""Least step, over the first step, with which a body that breaks apart is tried again: strain may have stiffened it so
+much that the step became unstable within one block of steps. A body that still breaks apart is crushed."""
 
 
 def solve_particles(
     problem: SkinProblem, *, spacing_m: float | None = None, step_s: float | None = None, follower: bool = False
 ) -> Motion:
-    """Motion at points of the face under a pressure, by total-Lagrangian particles at finite strain (neo-Hookean).
+    """Return the motion at points of the face, by total-Lagrangian particles at finite strain (neo-Hookean).
 
-    The accuracy sets the spacing of the particles of a slab where spacing_m [m] is None. The particles of a layer are
-    the vertices of its patch, and spacing_m sets its levels only.
-    step_s, follower: as in run_particles.
-    The spot of a layer is measured in the x and y of the frame of the patch.
+    spacing_m: distance of particles [m]; None: chosen for the accuracy. The particles of a layer are the vertices of
+        its patch, and spacing_m determines only its levels. step_s, follower: as in run_particles.
+    The spot on a layer is measured in x and y of the frame of the patch.
     The error of a slab follows, with ORDER, from a second run with particles COARSER times as far apart. It is at least
     half of law_error, because the difference may pass through 0, and at least law_error if the spot reaches the sides.
-    The error of a layer is law_error at its own edges. L2 over the times at a point, the largest of the points.
+    The error of a layer is law_error for its own edges. Errors are L2 over the times, at the worst point.
     Raises SceneError if refusal_particles returns a reason, for a wrong spacing, accuracy or step, and for a crushed
     body.
     """
@@ -75,7 +74,7 @@ def solve_particles(
         _, coarse, slower, _ = run_particles(coarse_cloud, load, requested, at, device=device, follower=follower)
         ratio = coarse_cloud.columns.spacing_m / cloud.columns.spacing_m
         gap = differences((coarse, slower), (u, v), normals_on_face(body, points))
-        # With few particles across a narrow body there are also errors at its sides, different for each spacing
+        # With few particles across a narrow body, errors at its sides are different for each spacing
         least = 1.0 if motion_width(body, load) < load_width(load) else 0.5
         errors = np.maximum(error_of_finer(gap, ratio, ORDER), least * law)
         source = f"particles {ratio:.2f} times as far apart, order {ORDER:g}, and at least {least:g} of {source}"
@@ -94,13 +93,13 @@ def run_particles(
     step_s: float | None = None,
     follower: bool = False,
 ) -> tuple[Float, Float, Float, float]:
-    """Step particles from rest through the last of `times`.
+    """Step particles from rest to the last of `times`.
 
-    times: [s], rising, shape (t,). at: points of the face [m], (n, 3) or (n, 2).
-    step_s: given step [s]; None takes a stable one, and begins again with a shorter one where strain stiffens the body.
-    follower: pressure stays normal to the moving face and acts on its present area; otherwise it is a dead load.
+    times: [s], ascending, shape (t,). at: points of the face [m], (n, 3) or (n, 2).
+    step_s: step [s]; None: a stable step, and a new run with a shorter step if strain stiffens the body.
+    follower: True: pressure stays normal to the moving face and acts on its present area; False: dead load.
     Returns points [m] (n, 3), displacement [m] and velocity [m/s], both (t, n, 3), and the step [s].
-    Raises SceneError for a pinned step above the stable one and a body that is crushed or turned inside out.
+    Raises SceneError for a given step above the stable step, and for a body that is crushed or inverted.
     """
     requested = np.asarray(times, dtype=float)
     longest = stable_step(cloud)
@@ -132,7 +131,7 @@ def run_particles(
 
 
 def _refuse_hours(cloud: Cloud, steps: float, step_s: float, device: str) -> None:
-    """Raises SceneError where these steps would take more than LONGEST_S, with the place that makes them short."""
+    """Raise SceneError, with the place of the smallest cell, if these steps would take more than LONGEST_S."""
     kind = "cuda" if device.startswith("cuda") else "cpu"
     seconds = len(cloud.points) * steps * SECONDS_A_STEP[kind]
     if seconds <= LONGEST_S:
@@ -154,7 +153,7 @@ def _history(
     reader = Reader(probe[0], probe[1], body.device)
     pressure = Pressure(body.cloud, load, body.device)
     table = wp.zeros((BLOCK, len(body.cloud.face_area)), dtype=wp.float32, device=body.device)
-    # Displacement is stored at two steps before and two after each requested time.
+    # Displacement is stored at two steps before and two steps after each requested time
     late = requested > begin
     first = np.floor((requested - begin) / step).astype(np.int64) - 1
     target = np.unique(np.concatenate([first[late] + shift for shift in range(4)])) if late.any() else np.zeros(0, int)
@@ -175,7 +174,7 @@ def _history(
         before, low_u, high_u, after = samples[place : place + 4]
         x = (requested[row] - begin) / step - (first[row] + 1)
         low_v, high_v = 0.5 * (high_u - before), 0.5 * (after - low_u)
-        # Cubic Hermite between the two steps, with central differences as slopes.
+        # Cubic Hermite interpolation between the two steps, with central differences as slopes
         a, b = 2.0 * (low_u - high_u) + low_v + high_v, 3.0 * (high_u - low_u) - 2.0 * low_v - high_v
         displacement[row] = ((a * x + b) * x + low_v) * x + low_u
         velocity[row] = ((3.0 * a * x + 2.0 * b) * x + low_v) / step

@@ -1,4 +1,4 @@
-"""Particle layer of a scene and its stepper, with a state of the caller: a preview."""
+"""Particle layer of a scene and its stepper, for previews; the state belongs to the caller."""
 
 import math
 
@@ -18,11 +18,11 @@ from palmfield.skin.solvers.particles.solve import solve_particles
 from palmfield.types import Float, Int
 
 HALVINGS = 3
-"""Largest number of repetitions of a call with half the step, after strain has stiffened the body."""
+"""Largest number of times that a call is repeated with half the step after strain has stiffened the body."""
 
 
 class ParticleLayer(OwnMesh):
-    """Particles, a preview; see ExplicitLayer."""
+    """Layer of particles, for previews; see ExplicitLayer."""
 
     preview, large_strain, stiffest = True, True, spacing.STIFFEST
     refusal = staticmethod(spacing.refusal_particles)
@@ -37,12 +37,12 @@ class ParticleLayer(OwnMesh):
 
     @locked_cached_property
     def body(self) -> Body:
-        """See OwnMesh; a patch is meshed with edges as long as the distance of particles."""
+        """See OwnMesh. The edges of a patch are as long as the distance of particles."""
         return self.body_of(self.spacing_m / self.layer.sizes.edge_fine_m)
 
     @locked_cached_property
     def cloud(self) -> Cloud:
-        """The particles."""
+        """Particles of the body."""
         with self.layer.meshing():
             return build_cloud(self.body, self.spacing_m)
 
@@ -60,7 +60,7 @@ class ParticleLayer(OwnMesh):
 
     @property
     def expected_error(self) -> float:
-        """See OwnMesh: the error of particles at this distance on discs."""
+        """See LayerSolver. It is the error of particles with this distance on discs."""
         return spacing.law_error(self.body, self.planned_load(), self.cloud.columns.spacing_m)
 
     def seconds(self, duration_s: float, device: str) -> float:
@@ -81,7 +81,7 @@ class ParticleLayer(OwnMesh):
         return ParticleStepper(self, transfer, device)
 
     def error(self, device: str) -> float:
-        """Return the error that `palmfield.skin.solve` states for particles at this distance under the trial load."""
+        """Return the error estimate of `palmfield.skin.solve` for particles at this distance under the trial load."""
         body, face = self.body, self.cloud.columns.face
         if isinstance(body, Layer):
             return self.expected_error
@@ -93,9 +93,9 @@ class ParticleLayer(OwnMesh):
 class ParticleStepper(OwnMeshStepper):
     """Particles at finite strain under a dead load, in steps that divide a substep; see SkinStepper.
 
-    A state has displacement, velocity and memory by particle and the stresses by site (see run.Particles.begin), as
-    float32 in float64, so that it is the same on every device. Velocities are those of half a particles' step before.
-    `step` also raises SceneError, and leaves the state as it was, for a body that is crushed or turned inside out.
+    A state has displacement, velocity and memory by particle and stresses by site (see run.Particles.begin), as float32
+    values in float64, so that it is the same on every device. Velocities are half a step of the particles earlier.
+    `step` also raises SceneError, without a change of the state, for a body that is crushed or inverted.
     """
 
     name = "particles"
@@ -136,7 +136,7 @@ class ParticleStepper(OwnMeshStepper):
         return motion
 
     def _carry(self, body: run.Particles, ends: Float, steps: int, observed: bool) -> Float:
-        """Take all steps; displacement and velocity of the face after each substep, shape (s, 2, f, 3), if observed."""
+        """Do all steps; if observed, return displacement and velocity of the face after each substep, (s, 2, f, 3)."""
         substeps, count = len(ends) // 2, ends.shape[1]
         part = np.tile(np.arange(steps) / steps, substeps)[:, None]
         first, last = np.repeat(ends[0::2], steps, axis=0), np.repeat(ends[1::2], steps, axis=0)

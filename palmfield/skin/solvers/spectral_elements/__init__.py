@@ -1,4 +1,4 @@
-"""Spectral elements of a slab or layer, explicit in time: matrix-free, on the CPU or a GPU."""
+"""Spectral elements of a slab or layer, explicit in time and matrix-free, on the CPU or a GPU."""
 
 import lazy_loader
 

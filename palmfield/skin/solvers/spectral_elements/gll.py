@@ -1,4 +1,4 @@
-"""Gauss-Lobatto-Legendre nodes on [-1, 1]: quadrature and interpolation in one set of points."""
+"""Gauss-Lobatto-Legendre nodes on [-1, 1]: one set of points for quadrature and interpolation."""
 
 import functools
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from palmfield.types import Float
 class Rule:
     """GLL rule of a polynomial order N, n = N + 1 nodes; it integrates polynomials of degree 2 N - 1 exactly.
 
-    nodes: rising, shape (n,). weights: shape (n,). derivative: D[i, m] = l_m'(x_i), shape (n, n).
+    nodes: ascending, shape (n,). weights: shape (n,). derivative: D[i, m] = l_m'(x_i), shape (n, n).
     top: Legendre polynomial of degree N at the nodes, shape (n,).
-    top_weights: weights that give its share in a function, in the inner product of the rule, shape (n,).
+    top_weights: weights for the share of `top` in a function, in the inner product of the rule, shape (n,).
     """
 
     nodes: Float
@@ -37,13 +37,13 @@ def rule(order: int) -> Rule:
     gaps = nodes[:, None] - nodes + np.eye(order + 1)
     derivative = top[:, None] / (top * gaps)
     np.fill_diagonal(derivative, 0.0)
-    # Rows sum to 0, so that a rigid shift gives exactly no strain
+    # Rows sum to 0, so that a rigid shift gives exactly 0 strain
     np.fill_diagonal(derivative, -derivative.sum(axis=1))
     return Rule(nodes, weights, derivative, top, weights * top / (weights @ top**2))
 
 
 def lagrange(order: int, x: Float) -> Float:
-    """Return the values of the Lagrange polynomials of the order at x, shape (len(x), n)."""
+    """Return the values of the Lagrange polynomials of this order at x, shape (len(x), n)."""
     vandermonde = legendre.legvander(rule(order).nodes, order)
     at = legendre.legvander(np.asarray(x, dtype=np.float64), order)
     return np.asarray(np.linalg.solve(vandermonde.T, at.T).T, dtype=np.float64)

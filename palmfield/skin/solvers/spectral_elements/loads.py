@@ -14,15 +14,15 @@ from palmfield.skin.solvers.spectral_elements.solid import Solid
 from palmfield.types import Float, Int
 
 MOST_ACROSS = 24
-"""Places across a cell at which pressures at points are sampled, at most."""
+"""Largest number of places across a cell at which pressures at points are sampled."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """The load by step: a spot (moving) or pressures at the surface nodes by frame.
+    """The load at each step: a spot, or pressures at the surface nodes by frame.
 
-    steps: how many; spot: peak [Pa] and centre [m], shape (steps, 3); spread: 4 ln 2 / fwhm^2 [1/m^2]
-    frames: [Pa], shape (f, surface nodes); frame, share: by step, frame and share of the next, shape (steps,)
+    steps: number of steps; spot: peak [Pa] and centre [m], shape (steps, 3); spread: 4 ln 2 / fwhm^2 [1/m^2]
+    frames: [Pa], shape (f, surface nodes); frame, share: frame of each step, and share of the next frame, (steps,)
     """
 
     moving: bool
@@ -35,9 +35,9 @@ class Table:
 
 
 def rows_at(load: Load, times: Any, step_s: float) -> tuple[Any, Any]:
-    """Row of [0, first, ..., last, last] and share of the next row at times from the first time of the load on.
+    """Return the row of [0, first, ..., last, last] and the share of the next row, at times from the start of the load.
 
-    Where the load jumps, a step takes the mean over half a step to each side, so that the scheme stays of second order.
+    Near a jump of the load, a step uses the mean over half a step on each side, so that the scheme stays second order.
     """
     load_times = np.asarray(load.times_s, dtype=float)
     if load.law == "linear":
@@ -55,7 +55,7 @@ def rows_at(load: Load, times: Any, step_s: float) -> tuple[Any, Any]:
 
 
 def table_of(load: Load, solid: Solid, step_s: float, steps: int) -> Table:
-    """Return the load at `steps` times from its first on."""
+    """Return the load at `steps` times from its first time on."""
     times = float(load.times_s[0]) + step_s * np.arange(steps)
     row, share = rows_at(load, times, step_s)
     if isinstance(load, Spot):
@@ -73,10 +73,10 @@ def table_of(load: Load, solid: Solid, step_s: float, steps: int) -> Table:
 
 
 def face_rule(solid: Solid, spacing_m: float) -> tuple[Int, Float, Float, Float]:
-    """Gauss points on all cells of the face, about as close as `spacing_m` [m] or closer, for `face_pressure`.
+    """Return Gauss points on all cells of the face, about `spacing_m` [m] apart or closer, for `face_pressure`.
 
-    Returns the surface nodes of the cell of each point and their shares there, (q, n^2), the points [m] and their
-    outward area vectors [m2], (q, 3).
+    Returns the surface nodes of the cell of each point and their shares, both (q, n^2), then the points [m] and their
+    outward area vectors [m2], both (q, 3).
     """
     cells, order = solid.quads.cells, solid.order
     x = solid.nodes[cells]

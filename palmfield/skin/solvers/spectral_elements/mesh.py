@@ -1,4 +1,4 @@
-"""Choice of the elements of a body: size from the load and the target accuracy, and a sponge where it has no sides."""
+"""Choice of the elements of a body from load and target accuracy, and of a sponge if the body has no sides."""
 
 import math
 from dataclasses import dataclass
@@ -14,38 +14,38 @@ from palmfield.skin.solvers.spectral_elements.solid import Solid, extrude
 from palmfield.types import Float
 
 SIZE = 0.87
-"""Element of order 4 in spot widths at an accuracy of 1 %: measured on the reference disc, where it has 0.8 %."""
+"""Element of order 4, in spot widths, for an accuracy of 1 %. Its error on the reference disc is 0.8 %."""
 
 SIZE_POWER = 1.0 / 6.0
-"""Size goes with accuracy^(1/6): between orders 4 (1.05 to 0.87 widths) and 8 (0.87 to 0.66) of the measured error."""
+"""Size is proportional to accuracy^(1/6); the measured order is 4 (1.05 to 0.87 widths) to 8 (0.87 to 0.66 widths)."""
 
 DEEPER = 1.15
 """Depth of an element over its width."""
 
 LINEAR = 0.04
-"""Element of order 1 in spot widths at an accuracy of 1 %: 0.07 to 0.1 widths have 2 to 3 % on a layer of the palm."""
+"""Element of order 1, in spot widths, for an accuracy of 1 %. On a layer of a palm, 0.07 to 0.1 give 2 to 3 %."""
 
 LINEAR_DEEP = 0.36
-"""Accuracy times the square of the number of elements of order 1 through a layer: 3, 2, 1 have 2, 4.5, 24 %."""
+"""Accuracy times the square of the number of elements of order 1 through a layer: 3, 2, 1 give 2, 4.5, 24 %."""
 
 DEPTHS, LEAST = {2: (0.076, 0.75), 3: (0.3, 0.5)}, 0.04
-"""Depth of a layer's elements by order, in spot widths at 1 %, and power of the accuracy: half a width has 4 to 12 %
-at order 2 on 22 layers, 1 to 2 % at order 3. And the accuracy below which order 2, with 3 to 4 %, fails."""
+"""Depth of elements of a layer by order, in spot widths for 1 %, and power of the accuracy. On 22 layers, half a width
+gives 4 to 12 % at order 2, and 1 to 2 % at order 3. LEAST: least accuracy for order 2, whose errors are 3 to 4 %."""
 
 GROWTH = 1.3
-"""Growth of elements away from the load and the requested points."""
+"""Growth of elements with distance from the load and the requested points."""
 
 COARSEST = 2.0
 """Largest element over the fine one."""
 
 SPONGE_TRANSMITS = 1e-3
-"""Remaining share of the amplitude of a shear wave that crosses an ideal sponge and comes back."""
+"""Amplitude of a shear wave after it has crossed an ideal sponge and back, as a share of the initial amplitude."""
 
 MARGIN = 3.0
-"""Distance before a sponge, in widths of the load or thicknesses: a sponge also damps slow motion."""
+"""Distance to a sponge, in widths of the load or thicknesses; it is needed because a sponge also damps slow motion."""
 
 MOST = 0.995
-"""Share of the power of a load below the frequency whose shear waves elements must resolve."""
+"""Share of the power of a load below the highest frequency whose shear waves elements resolve."""
 
 CORE = 0.45
 """Half width of the inner square of a disc as a share of the radius."""
@@ -53,11 +53,10 @@ CORE = 0.45
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of a mesh. order: N; size_m: width of the elements under the load [m]; deep: elements through each sheet.
-    watched_m: box around the path of the load and the requested points, along x and y, shape (2, 2).
-    margin_m: margin from there to the start of the sponge of an endless body [m]. sponge_m: width of the sponge [m],
-    or 0.
-    """
+    """Plan of a mesh. order: N; size_m: width of elements under the load [m]; deep: number of elements by sheet.
+
+    watched_m: box round the path of the load and the requested points, along x and y [m], shape (2, 2).
+    margin_m: from this box to the sponge of an infinite body [m]. sponge_m: width of the sponge [m], or 0."""
 
     order: int
     size_m: float
@@ -81,7 +80,7 @@ def plan(
     size_m: float | None = None,
     deep: tuple[int, ...] | None = None,
 ) -> Plan:
-    """Return the elements for an accuracy; given values are not changed."""
+    """Return the plan for an accuracy; given values are used unchanged."""
     materials = [sheet.material for sheet in body.sheets]
     width = motion_width(body, load)
     top = course_frequency(load, MOST)
@@ -96,7 +95,7 @@ def plan(
     watched = np.stack([low, high], axis=1)
     if isinstance(body, Layer):
         area = face_normals(body.patch.vertices, body.patch.faces)[1]
-        # Three quadrilaterals per triangle
+        # Each triangle becomes three quadrilaterals
         quad = float(np.sqrt(np.median(area) / 3.0))
         if order is None:
             wide = LINEAR * width * math.sqrt(accuracy / 0.01)
@@ -125,7 +124,7 @@ def through(thicknesses: list[float], size_m: float) -> tuple[int, ...]:
 
 
 def graded(low: float, high: float, fine: tuple[float, float], size_m: float) -> Float:
-    """Return the lines from low to high, at most size_m apart between `fine`, growing away from it [m]."""
+    """Return grid lines from low to high [m], at most size_m apart between `fine`; the distance grows outside."""
     inner = (max(low, fine[0]), min(high, fine[1]))
     if inner[1] <= inner[0]:
         inner = (low, high)
@@ -139,7 +138,7 @@ def graded(low: float, high: float, fine: tuple[float, float], size_m: float) ->
 
 
 def growing(length: float, first: float, size_m: float) -> Float:
-    """Ends of elements from 0 to length [m] that grow outwards from the first to at most COARSEST * size_m, about."""
+    """Return ends of elements from 0 to length [m], which grow from `first` to about COARSEST * size_m."""
     steps = [first]
     while sum(steps) < length:
         steps.append(min(GROWTH * steps[-1], COARSEST * size_m))
@@ -170,7 +169,7 @@ def build(body: Body, chosen: Plan) -> tuple[Solid, Float]:
             middle, radius = np.zeros(2), float(body.radius_m or 0.0)
             reach = float(np.linalg.norm(np.abs(watched).max(axis=1)))
             inner = CORE * radius
-            # Cells widen towards the rim by half pi / (2 CORE); output points there need finer cells everywhere
+            # Cells near the rim are wider by half pi / (2 CORE); output points there need finer cells everywhere
             if reach > radius * (0.5 + 0.5 * CORE):
                 size = size / 1.5
         else:

@@ -1,4 +1,4 @@
-"""A solid on a device: geometry, masses, materials, constraints, and the step that is stable."""
+"""A solid on a device: geometry, masses, materials, constraints, and the stable step."""
 
 import math
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from warp_kernels import hexa, hexa_steps
 from warp_kernels.hexa import READERS
 
 SAFETY = 0.95
-"""Share of the stable step that is used: power iteration approaches the largest rate from below, within 2 %."""
+"""Step over the computed stable step; power iteration approaches the largest rate from below, within 2 %."""
 
 ROUNDS = 60
 """Number of power iterations from a random start; tests compare the rate with a dense eigenvalue."""
@@ -28,10 +28,11 @@ ROUNDS = 60
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of element nodes in the flat arrays of positions.
+    """Positions of element nodes in flat arrays.
 
-    at: position by element and node, shape (E, n^3); slot, element: node and element by position (the padding too)
-    count: positions; padded: elements with padding, at least one of it; spare: a position of that; gpu: for a GPU
+    at: position by element and node, shape (E, n^3); slot, element: node and element by position, with padding
+    count: number of positions; padded: number of elements with padding, which has at least one element
+    spare: a position in the padding; gpu: whether the order is that for a GPU
     """
 
     at: Int
@@ -59,9 +60,9 @@ def lay_out(elements: int, order: int, gpu: bool) -> Layout:
 class Model:
     """Masses, stiffness and constraints of a solid of sheets, on a device.
 
-    precision: "float32" or "float64" of the state and the elements
+    precision: "float32" or "float64" for state and elements
     mass: mass by node [kg], shape (nodes,); conn: node by position
-    Raises SceneError with the place [m] of an element that is flat or inside out.
+    Raises SceneError, with its place [m], for an element that is flat or inverted.
     """
 
     def __init__(self, solid: Solid, sheets: tuple[Sheet, ...], device: str, precision: str = "float32") -> None:
@@ -126,7 +127,7 @@ class Model:
         self.moduli = self.moduli_of([m.shear_relaxed_Pa for m in self.materials])
 
     def put(self, values: Float) -> Any:
-        """Return an array with the precision of the model on its device."""
+        """Return an array on the device of the model, in its precision."""
         return wp.array(np.asarray(values, dtype=self.dtype), dtype=self.real, device=self.device)
 
     def ints(self, values: Any) -> Any:
@@ -136,7 +137,7 @@ class Model:
         return wp.array(np.asarray(values, dtype=self.dtype), dtype=self.vec3, device=self.device)
 
     def moduli_of(self, shear: list[float], bulk: list[float] | None = None) -> Any:
-        """Shear and bulk modulus [Pa] given by sheet (default the relaxed bulk modulus), and mix, by element."""
+        """Return shear modulus, bulk modulus [Pa] (default: relaxed) and mix by element, from moduli by sheet."""
         rows = np.zeros((3, self.layout.padded))
         for row, values in enumerate((shear, bulk or [m.bulk_Pa for m in self.materials], self.mixes)):
             rows[row, : len(self.solid.sheet)] = np.asarray(values)[self.solid.sheet]
@@ -154,7 +155,7 @@ class Model:
         force: Any = None,
         record_cmd: bool = False,
     ) -> Any:
-        """Internal forces by position into `force`, that of the model by default, now or as a recorded launch.
+        """Compute internal forces by position in `force` (default: array of the model), now or as a recorded launch.
 
         reading: as in hexa.element_forces
         """
@@ -175,10 +176,10 @@ class Model:
         )
 
     def largest_rate(self, factors: list[float], start: Any) -> float:
-        """Largest eigenvalue of M^-1 K over all elements [1/s^2], a bound of the assembled one (Irons & Treharne 1971).
+        """Return the largest eigenvalue of M^-1 K of any element [1/s^2], a bound for the body (Irons & Treharne 1971).
 
-        factors: factors by sheet, on the relaxed stiffness of the relaxing part
-        start: displacement by position, moved towards the eigenvectors
+        factors: factors by sheet on the relaxed stiffness of the relaxing part
+        start: initial displacement by position; it becomes the eigenvectors of the elements
         """
         own = self.ints(np.arange(self.layout.count))
         mass = np.ones(self.layout.count)
@@ -188,7 +189,7 @@ class Model:
         there, moduli = self.put(mass), self.moduli_of(shear, bulk)
         rate = wp.zeros(len(self.solid.elements), dtype=self.real, device=self.device)
         spare = wp.zeros(1, dtype=wp.int32, device=self.device)
-        # The first Rayleigh quotient is that of a vector that is not normalised
+        # The first Rayleigh quotient belongs to a vector that is not normalised
         for _ in range(ROUNDS + 1):
             self.launch(start, start, own, own, moduli, spare)
             run_kernel(
@@ -200,9 +201,9 @@ class Model:
         return float(rate.numpy().max())
 
     def stable_step(self, spring_rate: float = 0.0) -> float:
-        """Largest step [s] at which the discrete energy of the scheme stays positive (see `Stepper`): h^2 rate(h) = 4.
+        """Return the largest step [s] with positive discrete energy of the scheme (see `Stepper`): h^2 rate(h) = 4.
 
-        spring_rate: largest k / m of springs on nodes [1/s^2]
+        spring_rate: largest k / m of springs at nodes [1/s^2]
         """
         rng = np.random.default_rng(0)
         start = self.vectors(rng.standard_normal((self.layout.count, 3)))
@@ -223,8 +224,7 @@ class Model:
 
 
 def reduced(values: Float, gll: Rule) -> Float:
-    """Return nodal values, (E, n, n, n), without their share of the highest Legendre polynomial along each
-    direction."""
+    """Return nodal values, (E, n, n, n), without the highest Legendre polynomial along each direction."""
     for axis in (1, 2, 3):
         share = np.tensordot(values, gll.top_weights, (axis, 0))[..., None] * gll.top
         values = values - np.moveaxis(share, -1, axis)
@@ -234,7 +234,7 @@ def reduced(values: Float, gll: Rule) -> Float:
 def stiffening_at(material: Material, step_s: float) -> float:
     """Return the factor on G_r in the bound of the step: 1 + sum g tanh(x/2) / (x/2) + 2 t / h, x = h / tau.
 
-    At step 0 the dashpot is omitted, because its factor is infinite.
+    At step 0 the term of the dashpot, which is infinite, is omitted.
     """
     total = 1.0 + (2.0 * material.relaxation.viscous_time_s / step_s if step_s > 0.0 else 0.0)
     for ratio, time_s in material.relaxation.active:
@@ -248,7 +248,7 @@ class Holds:
     """Fixed and damped directions of the nodes.
 
     damping: mass-proportional rate by node [1/s], shape (nodes,)
-    rows: node of each row; projector: keeps the motion that is free; spring: [N/m]; dashpot: [N s/m], (rows, 3, 3)
+    rows: node of each row; projector: on free directions; spring [N/m]; dashpot [N s/m]; each (rows, 3, 3)
     """
 
     damping: Float
@@ -312,7 +312,7 @@ def hold(model: Model, base: BaseKind | Springs, side: SideKind | None, damping:
 
 
 def _side_dashpots(model: Model, row_of: Int, count: int) -> Float:
-    """Area times rho c_p along the normal of the side and rho c_s across, on the nodes of the sides, (rows, 3, 3)."""
+    """Return the dashpots of side nodes, (rows, 3, 3): area times rho c_p along the normal and rho c_s across it."""
     solid = model.solid
     edges, cell = rim_edges(solid.quads.cells)
     layers = (solid.levels - 1) // solid.order

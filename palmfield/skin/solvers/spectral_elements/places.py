@@ -1,4 +1,4 @@
-"""Points of the face in the coordinates of the surface."""
+"""Points of the face in the coordinates of the cells of the surface."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,7 +16,7 @@ CANDIDATES = 12
 def find(solid: Solid, at: Float) -> tuple[Int, Float]:
     """Return the surface nodes of the cell that contains each point, and their shares, both (p, n^2).
 
-    at: points [m], shape (p, 3), or (p, 2) on a plane face; each is moved to the nearest place of the surface.
+    at: points [m], shape (p, 3), or (p, 2) on a plane face; each is replaced by the nearest place of the surface.
     Raises SceneError for another shape, numbers that are not finite, and points farther off than the width of a cell.
     """
     points = in_space(at)

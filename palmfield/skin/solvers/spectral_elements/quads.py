@@ -1,4 +1,4 @@
-"""Surfaces of curved quadrilaterals with GLL nodes: the face of a box, of a disc, and triangles cut in three."""
+"""Surfaces of curved quadrilaterals with GLL nodes: face of a box, face of a disc, and triangles cut in three."""
 
 import math
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from palmfield.types import Float, Int, Patch
 
 @dataclass(frozen=True)
 class Quads:
-    """A surface of quadrilaterals of order N, counter-clockwise seen from outside, neighbours sharing nodes.
+    """A surface of quadrilaterals of order N, counter-clockwise seen from outside; neighbours share nodes.
 
     nodes: positions [m], shape (s, 3). drop: vector from the surface to the base below a node [m], shape (s, 3).
-    cells: nodes of each quadrilateral, first index along its edge 0-1, second along 0-3, shape (m, n, n), int32.
-    rim: True at boundary nodes of the surface, shape (s,); rim_normals: unit outward normals of the side, square to the
-    drop, shape (s, 2, 3); corners of a box have two, and nodes inside have 0.
+    cells: nodes of each quadrilateral, first index along edge 0-1, second along 0-3, shape (m, n, n), int32.
+    rim: True at boundary nodes of the surface, shape (s,). rim_normals: unit outward normals of the side, perpendicular
+    to the drop, shape (s, 2, 3): two at corners of a box, one at other boundary nodes, and 0 elsewhere.
     """
 
     nodes: Float
@@ -28,9 +28,9 @@ class Quads:
 
 
 def number(corners: Int, order: int) -> Int:
-    """Return the node numbers of quadrilaterals of vertices (m, 4) so that neighbours share nodes, shape (m, n, n).
+    """Return the node numbers of quadrilaterals with vertices (m, 4), shape (m, n, n); neighbours share nodes.
 
-    Vertices keep their numbers, then come edges from their lower vertex to their higher, then interiors.
+    Vertices keep their numbers. Edges come next, from the lower to the higher vertex, then interiors.
     """
     n, inner = order + 1, order - 1
     count = int(corners.max()) + 1
@@ -60,7 +60,7 @@ def number(corners: Int, order: int) -> Int:
 
 
 def rim_edges(cells: Int) -> tuple[Int, Int]:
-    """Nodes of the edges of the boundary in the direction with the surface on the left, (b, n), and their cells."""
+    """Return the nodes of boundary edges, in the direction with the surface on the left, (b, n), and their cells."""
     sides = np.concatenate([cells[:, :, 0], cells[:, -1, :], cells[:, ::-1, -1], cells[:, 0, ::-1]])
     ends = np.sort(sides[:, [0, -1]], axis=1)
     _, index, uses = np.unique(ends, axis=0, return_index=True, return_counts=True)
@@ -69,7 +69,7 @@ def rim_edges(cells: Int) -> tuple[Int, Int]:
 
 
 def finish(positions: Float, drops: Float, cells: Int, order: int) -> Quads:
-    """Quads of positions and drops given by cell, (m, n, n, 3): shared nodes agree, and the rim gets its normals."""
+    """Return the Quads of positions and drops by cell, (m, n, n, 3), with means at shared nodes, and rim normals."""
     count = int(cells.max()) + 1
     nodes, drop = np.empty((count, 3)), np.empty((count, 3))
     nodes[cells] = positions
@@ -80,7 +80,7 @@ def finish(positions: Float, drops: Float, cells: Int, order: int) -> Quads:
     outward /= np.linalg.norm(outward, axis=2, keepdims=True)
     normals = np.zeros((count, 2, 3))
     rim = np.zeros(count, dtype=bool)
-    # An edge of the rim is the first edge of one node and the second edge of the other
+    # An edge of the rim is the first edge of one end node and the second edge of the other
     for slot, part in ((0, slice(0, order)), (1, slice(order, order + 1))):
         normals[edges[:, part], slot] = outward[:, part]
     # Only corners keep two normals; elsewhere the two are nearly equal, and their mean is more accurate
@@ -94,7 +94,7 @@ def finish(positions: Float, drops: Float, cells: Int, order: int) -> Quads:
 
 
 def box_quads(x: Float, y: Float, thickness_m: float, order: int) -> Quads:
-    """Return the rectangles between grid lines x and y [m] in the plane z = 0, the body below."""
+    """Return the rectangles between grid lines x and y [m] in the plane z = 0; the body is below."""
     cols, rows = len(x) - 1, len(y) - 1
     i, j = np.meshgrid(np.arange(cols), np.arange(rows), indexing="ij")
     low = (i * (rows + 1) + j).ravel()
@@ -119,7 +119,7 @@ arcs of the rim."""
 def disc_quads(thickness_m: float, half_m: float, core: int, radii_m: Float, order: int) -> Quads:
     """Return a disc: `core` x `core` cells in a bulged square of half width half_m [m], then rings of 4 `core` cells.
 
-    radii_m: mean outer radius of each ring [m], rising, the last that of the disc; the first begins at the square
+    radii_m: mean outer radius of each ring [m], ascending; the last is the radius of the disc
     """
     radius_m = float(radii_m[-1])
     middle = half_m * (1.0 + BULGE)
@@ -163,7 +163,7 @@ def disc_quads(thickness_m: float, half_m: float, core: int, radii_m: Float, ord
 
 
 def patch_quads(patch: Patch, order: int) -> Quads:
-    """Every triangle of a patch cut into three: vertex, middle of an edge, centroid, middle of an edge."""
+    """Return the triangles of a patch, each cut into three: vertex, middle of an edge, centroid, middle of an edge."""
     faces = np.asarray(patch.faces, dtype=np.int64)
     vertices = len(patch.vertices)
     edges, edge_of = np.unique(

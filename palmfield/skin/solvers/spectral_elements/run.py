@@ -1,4 +1,4 @@
-"""Steps of the explicit scheme, with an energy that never grows."""
+"""Steps of the explicit scheme; its energy never grows without a load."""
 
 import math
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ GRAPH_STEPS = 200
 
 @dataclass(frozen=True)
 class Points:
-    """Points of the face: nodes of the cell each lies in and their shares, shapes (p, n^2)."""
+    """Points of the face: nodes of the cell of each point and their shares, both (p, n^2)."""
 
     nodes: Int
     shares: Float
@@ -36,9 +36,9 @@ def branch_step(step_s: float, time_s: float) -> tuple[float, float]:
 
 
 def lane_rows(elements: Int, layout: Layout, lanes: int) -> tuple[Int, Int]:
-    """Return the first row of the nodes of each thread, (threads + 1,), and rows of one position a lane, flat.
+    """Return the first row of the nodes of each thread, (threads + 1,), and flat rows with one position for each lane.
 
-    Lanes with fewer elements than the others point at a position of an element of padding, where the force is 0.
+    Lanes with fewer elements than the others point to a position in the padding, where the force is 0.
     """
     flat = elements.ravel()
     order = np.argsort(flat, kind="stable")
@@ -54,9 +54,9 @@ def lane_rows(elements: Int, layout: Layout, lanes: int) -> tuple[Int, Int]:
 
 
 def copies_of(solid: Solid, materials: list[Material]) -> tuple[list[Relaxation], Int, Int]:
-    """Return copies of nodes: a node has one for each relaxation law of its elements; copies of one node are adjacent.
+    """Return the copies of nodes: one for each relaxation law of the elements of a node; copies of a node are adjacent.
 
-    Returns the laws, node * laws + law of each copy, rising, and the copies of each element.
+    Returns the laws, node * laws + law of each copy, ascending, and the copies of each element.
     """
     laws = sorted({material.relaxation for material in materials})
     law_of_sheet = np.array([laws.index(material.relaxation) for material in materials], dtype=np.int32)
@@ -75,7 +75,7 @@ def state_size(solid: Solid, materials: list[Material]) -> int:
 
 
 class Stepper:
-    """Central differences with exact branches; the dashpot takes the velocity of the previous half step.
+    """Step by central differences with exact branches; the dashpot uses the velocity of the previous half step.
 
     With K the elastic and K_d the relaxed deviatoric stiffness, M v' + K u + K_d (sum g y + t v(-1/2)) = f and
     y <- e y + c h v, the energy
@@ -83,12 +83,11 @@ class Stepper:
         E = v (M - h t K_d / 2) v / 2 + u0 K u1 / 2 + sum g / (2 c) [y0 K_d y1 + (1 - e) / 2 y0 K_d y0]
 
     of a step from 0 to 1 changes without a load by -h t s K_d s / 4 - sum g (1 - e) / (4 c) z K_d z, where s and z are
-    sums of two neighbouring v and y: it never grows. It is positive definite if M - h^2 / 4 [K + sum g tanh(x / 2) /
-    (x / 2) K_d] - h t K_d / 2 is so, x = h / tau; that gives the stable step.
+    sums of two neighbouring v and y. So it never grows. It is positive definite if M - h^2 / 4 [K + sum g tanh(x / 2) /
+    (x / 2) K_d] - h t K_d / 2 with x = h / tau is positive definite. This gives the stable step.
 
-    step_s: [s]. table: the load at each step. points: points of the output.
-    target: numbers of steps after which to read, rising.
-    graph_steps: number of steps in one CUDA graph.
+    step_s: [s]. table: load at each step. points: output points. graph_steps: number of steps in one CUDA graph.
+    target: numbers of steps after which the points are read, ascending.
     """
 
     def __init__(
@@ -162,7 +161,7 @@ class Stepper:
         self.graph: Any = None
 
     def _copies(self) -> None:
-        """Make the arrays of the relaxing displacements, by copy; see `copies_of`."""
+        """Make the arrays of the relaxing displacements by copy; see `copies_of`."""
         model, solid, layout = self.model, self.model.solid, self.model.layout
         laws, keys, inverse = copies_of(solid, model.materials)
         self.copy_count = len(keys)
@@ -180,7 +179,7 @@ class Stepper:
         self.viscous = model.put(np.array([time_s for _, time_s in laws]))
 
     def _commands(self) -> list[Any]:
-        """Launches of a step: forces of the elements (they read what the last step left), and step of the nodes."""
+        """Return the launches of a step: forces of the elements, with the readings of the last step, then nodes."""
         model = self.model
         reading = (self.finished, self.slots, self.read_nodes, self.read_shares, self.v, self.read_u, self.read_v)
         return [
@@ -211,7 +210,7 @@ class Stepper:
             command.launch()
 
     def advance(self, steps: int) -> None:
-        """Do this number of steps. Raises SceneError if the table of the load ends before."""
+        """Do this number of steps. Raises SceneError if the table of the load has fewer."""
         if self.done + steps > self.table.steps:
             raise SceneError(
                 f"solver 'spectral_elements': {self.done + steps} steps are requested, but the load table has "
@@ -241,11 +240,11 @@ class Stepper:
         )
 
     def readings(self) -> tuple[Any, Any]:
-        """Displacement [m] and velocity [m/s] after the target steps, at the points, both (target, p) of vectors."""
+        """Return displacement [m] and velocity [m/s] at the points after the target steps: (target, p) of vectors."""
         return self.read_u, self.read_v
 
     def _state_arrays(self) -> list[Any]:
-        """Return the part of the state that a step changes, without the padding: u, v, w, and y of each branch."""
+        """Return the arrays that a step changes, without padding: u, v, w, and y of each branch."""
         nodes, copies = len(self.model.solid.nodes), self.copy_count
         strain = [self.strain[branch][:copies] for branch in range(self.most)]
         return [self.u[:nodes], self.v[:nodes], self.w[:copies], *strain]

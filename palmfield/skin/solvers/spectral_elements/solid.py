@@ -36,9 +36,9 @@ class Solid:
 
 
 def extrude(quads: Quads, sheets: tuple[Sheet, ...], deep: tuple[int, ...]) -> Solid:
-    """Solid of `deep` elements through each sheet; the share of a sheet in the drop is its share of the thicknesses.
+    """Return the solid of `deep` elements through each sheet; thicknesses of sheets are shares of the drop.
 
-    Raises SceneError with its place [m] where a column of elements passes through a point and comes out inverted.
+    Raises SceneError, with the place [m], if a column of elements narrows to a point and is inverted below it.
     """
     order = quads.cells.shape[1] - 1
     ends = np.concatenate([[0.0], np.cumsum([sheet.thickness_m for sheet in sheets])])
@@ -50,7 +50,7 @@ def extrude(quads: Quads, sheets: tuple[Sheet, ...], deep: tuple[int, ...]) -> S
     shares = np.concatenate([(edges[:-1, None] + np.diff(edges)[:, None] * inner).ravel(), [1.0]])
     levels, count = len(shares), len(quads.nodes)
     nodes = (quads.nodes + shares[:, None, None] * quads.drop).reshape(-1, 3)
-    # The first direction is along the second of the quadrilateral, which is right-handed with the third inwards
+    # First and second direction are exchanged, so that the axes are right-handed with the third inwards
     flat = quads.cells.transpose(0, 2, 1)
     offset = count * (order * np.arange(layers)[:, None] + np.arange(order + 1))
     elements = flat[None, :, :, :, None] + offset[:, None, None, None, :]
@@ -68,7 +68,7 @@ def extrude(quads: Quads, sheets: tuple[Sheet, ...], deep: tuple[int, ...]) -> S
 
 
 def _check_turns(solid: Solid) -> None:
-    """Refuse edges on the base side that point against the same edge on the surface side: det J > 0 there again."""
+    """Raise SceneError if an edge of the base points against the same edge of the surface; det J > 0 there again."""
     n = solid.order + 1
     box = solid.elements.reshape(-1, n, n, n)[:, [0, -1]][:, :, [0, -1]][..., [0, -1]]
     corners = solid.nodes[box]
@@ -95,12 +95,12 @@ def face_areas(solid: Solid) -> Float:
 
 
 def base_areas(solid: Solid) -> Float:
-    """Return the area vectors of the nodes of the base, out of the body [m^2], shape (surface_nodes, 3)."""
+    """Return the area vectors of the nodes of the base, outwards [m^2], shape (surface_nodes, 3)."""
     return -_areas(solid, solid.nodes[-solid.surface_nodes :])
 
 
 def cell_areas(x: Float, order: int) -> Float:
-    """Return the area vectors of the nodes of cells by GLL quadrature [m^2], as their positions x (m, n, n, 3)."""
+    """Return the area vectors of the nodes of cells with positions x by GLL quadrature [m^2], both (m, n, n, 3)."""
     gll = rule(order)
     area = np.cross(np.einsum("im,emjc->eijc", gll.derivative, x), np.einsum("jm,eimc->eijc", gll.derivative, x))
     area *= np.outer(gll.weights, gll.weights)[..., None]

@@ -1,4 +1,4 @@
-"""Explicit spectral elements with the common call of the skin solvers."""
+"""Solver spectral_elements: explicit spectral elements in the common form of the skin solvers."""
 
 import math
 import time
@@ -36,61 +36,62 @@ from palmfield.skin.solvers.spectral_elements.solid import Solid
 from palmfield.types import Float
 
 COARSER = 1.4
-"""Element size of the run by which the error is estimated, over that of the run that is returned."""
+"""Element size of the run for the error estimate over that of the returned run."""
 
 LEAST_WIDER = 1.2
-"""Ratio of the widths under the load of two meshes whose difference estimates the error."""
+"""Least ratio of the widths under the load of two meshes whose difference estimates the error."""
 
 LOWER = 0.6
-"""Error of an order over the difference to the next lower, at most: 0.05 to 0.5 on 20 random discs and boxes."""
+"""Upper limit of error over difference from the next lower order; it was 0.05 to 0.5 on 20 random discs and boxes."""
 
 AT_EDGE = 1.5
-"""Order, over that of the elements, at which the error falls near a singular fixed edge. Set on two discs, with fixed
-and free side, under a spot of 0.6 radii, where it gives 1.1 and 1.6 times the error."""
+"""Order of the error near a singular fixed edge over the order of the elements. On two discs, with fixed and free side,
+under a spot of 0.6 radii, the estimate is 1.1 and 1.6 times the error."""
 
 STEP_ORDER = 1.0
-"""Order at which the error falls with the step, at least: dashpots, and branches shorter than a step, take the velocity
-of the previous half step. Without them it is 2."""
+"""Least order of the error in the step: dashpots, and branches shorter than a step, use the velocity of the previous
+half step. Without them the order is 2."""
 
 LOWER_SPONGE = 0.7
-"""The same in a sponge, which is smaller in the second run as well: 0.03 to 0.53 on 10 random endless slabs."""
+"""The same limit as LOWER with a sponge, which is also smaller in the second run; it was 0.03 to 0.53 on 10 random
+infinite slabs."""
 
 LONGEST_S = 3600.0
-"""Predicted seconds above which a run is refused."""
+"""Largest predicted time of a run [s]; longer runs are refused."""
 
 WINDOW = 0.05
-"""Share of the time that the second run takes where it has the higher order."""
+"""Share of the simulated time in a second run of higher order."""
 
 STIFFEST = 1e5
-"""Instantaneous bulk over shear modulus above which the step is so small that the solver refuses (nu 0.499995)."""
+"""Largest allowed ratio of instantaneous bulk to shear modulus (nu 0.499995); above it the step is too small."""
 
 COURANT = {1: 0.587, 2: 0.477, 3: 0.406, 4: 0.345, 5: 0.295}
-"""Stable step of a cube times wave speed over node spacing (size / N), nu 0.495; higher orders like 1.5 / (N + 0.1)."""
+"""Stable step of a cube times wave speed over node spacing (size / N), by order, nu 0.495; higher orders:
+1.5 / (N + 0.1)."""
 
 CPU_COST = (8.5e-9, 12e-9, 15e-6)
-"""Seconds by element node, by node and by step on one CPU core (AMD EPYC), scripts/bench_spectral_elements.py."""
+"""Time per element node, per node and per step on one CPU core (AMD EPYC) [s], scripts/bench_spectral_elements.py."""
 
 MAKING = (0.012, 6e-5)
-"""Seconds that a mesh and its stable step take, and by element (docs/bench/skin_costs.md)."""
+"""Time of a mesh and its stable step: constant, and per element [s] (docs/bench/skin_costs.md)."""
 
 LIKELY = 1.2
-"""Ratio of the estimated to the computed step: 1.05 to 1.4 on 11 slabs and layers without much viscosity."""
+"""Ratio of estimated to computed step; it was 1.05 to 1.4 on 11 slabs and layers without much viscosity."""
 
 REPEATED, FEW, THIN = (1.2, 3.0), 50, 0.5
-"""Seconds of all solutions of a slab over those of the first. The second applies on discs of less than FEW elements
-with a singular fixed edge (8 of 20 missed) and where it is THIN, in widths of the load (8 of 11)."""
+"""Time of all solutions of a slab over that of the first. The second value applies to discs of less than FEW elements
+with a singular fixed edge (8 of 20 missed the target), and to depths below THIN widths of the load (8 of 11)."""
 
 BY_NODES, ROOM, MOST_MISS = 1.5, 0.8, 10.0
-"""Power of the number of nodes with which the error of a mesh falls, 0.4 to 2.5 on 40; share of the target; first
-miss.
-"""
+"""Power of the number of nodes in the error of a mesh (0.4 to 2.5 on 40 problems), share of the target error for the
+next mesh, and largest assumed error of the first mesh over the target."""
 
 GPU_COST = (0.035e-9, 0.1e-9, 5e-6)
-"""The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
+"""The same as CPU_COST on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
 
 
 def refusal_spectral_elements(body: Body, load: Load) -> str | None:
-    """Return why solver spectral_elements refuses a problem, in a sentence, or None."""
+    """Return the reason why solver spectral_elements cannot solve a problem, in a sentence, or None."""
     if isinstance(body.base, Foundation):
         return ONLY_WEDGES
     if isinstance(body, Layer) and body.side == "absorbing":
@@ -113,9 +114,9 @@ def refusal_spectral_elements(body: Body, load: Load) -> str | None:
 
 
 def cost_spectral_elements(problem: SkinProblem) -> float:
-    """Return the predicted seconds of `solve_spectral_elements`, from the size of its mesh and its step.
+    """Return the predicted time of `solve_spectral_elements` [s], from the size of its mesh and its step.
 
-    The body has the bulk modulus that the solver takes (reduce_bulk_modulus). Raises SceneError above LONGEST_S.
+    The body has the bulk modulus of the solution (reduce_bulk_modulus). Raises SceneError above LONGEST_S.
     """
     body, load, points, device = problem.body, problem.load, problem.at, problem.device
     chosen, singular = plan(body, load, points, problem.accuracy), edge_is_felt(body, load, points)
@@ -123,7 +124,7 @@ def cost_spectral_elements(problem: SkinProblem) -> float:
     requested, start = problem.times, float(load.times_s[0])
     ends = float(requested[-1]), window(body, chosen, singular, load, requested)
     second = comparison_plan(body, chosen, singular)
-    # The second plan is run with the whole step and with half the step
+    # The second plan runs with the whole step and with half the step
     runs = [(chosen, ends[0], 1.0), (second, ends[1], 3.0)]
     if second.order == chosen.order > 1:
         runs.append((at_lower_order(chosen), ends[0], 1.0))
@@ -144,7 +145,7 @@ def cost_spectral_elements(problem: SkinProblem) -> float:
 
 
 def prepared_spectral_elements(problem: SkinProblem) -> tuple[Body, dict[str, Any]]:
-    """Return the body with its bulk modulus, and the data of it that `solve_spectral_elements` reuses."""
+    """Return the body with the bulk modulus of the solution, and data that `solve_spectral_elements` reuses."""
     softened = reduce_bulk_modulus(
         problem.body, problem.load, float(problem.times[-1]), problem.at, problem.accuracy, None
     )
@@ -152,7 +153,7 @@ def prepared_spectral_elements(problem: SkinProblem) -> tuple[Body, dict[str, An
 
 
 def finer_spectral_elements(problem: SkinProblem, miss: float, **last: Any) -> Any:
-    """Return order, width and depth of finer elements, after the error of the `last` was `miss` times too large."""
+    """Return order, width and depth of finer elements after the error of the `last` was `miss` times too large."""
     body, load, at, accuracy = problem.body, problem.load, problem.at, problem.accuracy
     finer = plan(body, load, at, accuracy, **last)
     needed = (min(miss, MOST_MISS) / ROOM) ** (1.0 / BY_NODES) * len(build(body, finer)[0].nodes)
@@ -163,11 +164,11 @@ def finer_spectral_elements(problem: SkinProblem, miss: float, **last: Any) -> A
 
 
 def comparison_plan(body: Body, chosen: Plan, singular: bool) -> Plan:
-    """Return the mesh for the error estimate: wider elements, or another order if those would be the same elements.
-    They are the same on a given patch of triangles, and if few elements lie under the load. Near a singular fixed edge,
-    wider elements may have the same elements at the edge and show no error. There is no order below 1, so the next
-    higher order estimates its error, over a shorter time (`window`). The sponge is smaller too.
-    """
+    """Return the mesh for the error estimate: wider elements, or another order if the elements would not change.
+
+    Elements do not change on a given patch of triangles, and if few elements lie under the load. Near a singular fixed
+    edge, the elements at the edge may not change, so that no error shows. There is no order below 1, so the next higher
+    order estimates its error, over a shorter time (`window`). The sponge is smaller too."""
     margin, sponge = 0.6 * chosen.margin_m, 0.8 * chosen.sponge_m
     if not isinstance(body, Layer) and not singular:
         deep = tuple(max(1, math.floor(count / COARSER + 0.5)) for count in chosen.deep)
@@ -180,12 +181,12 @@ def comparison_plan(body: Body, chosen: Plan, singular: bool) -> Plan:
 
 
 def at_lower_order(chosen: Plan) -> Plan:
-    """Return the same elements of the next lower order, in a smaller sponge."""
+    """Return the same elements with the next lower order and a smaller sponge."""
     return replace(chosen, order=chosen.order - 1, margin_m=0.6 * chosen.margin_m, sponge_m=0.8 * chosen.sponge_m)
 
 
 def width_under(solid: Solid, chosen: Plan) -> float:
-    """Return the mean width [m] of the cells whose middle is watched, or of the nearest one."""
+    """Return the mean width [m] of the cells with their middle in the watched box, or of the nearest cell."""
     corners = solid.quads.nodes[solid.quads.cells[:, [0, 0, -1, -1], [0, -1, -1, 0]]]
     middles = corners.mean(axis=1)[:, :2]
     low, high = chosen.watched_m.T
@@ -218,17 +219,17 @@ def solve_spectral_elements(
     estimate: bool = True,
     softened: tuple[Body, float] | None = None,
 ) -> Motion:
-    """Motion of the face by explicit spectral elements, matrix-free (Patera 1984; Komatitsch & Vilotte 1998).
+    """Return the motion of the face by explicit spectral elements (Patera 1984; Komatitsch & Vilotte 1998).
 
     order: N of the elements, 1 to 7 (1 integrates too coarsely except in prisms). size_m: their width [m] (slabs).
-    deep: elements through each sheet. step_s: [s], at most the stable one. precision: "float32" or "float64".
-    nu_at_most: if the instantaneous Poisson's ratio is above this value, the bulk modulus is reduced for larger steps;
-    the error includes the effect. By default a value that the accuracy allows
-    (palmfield.skin.approximation.reduce_bulk_modulus); 0.5 leaves the material unchanged.
-    estimate: False leaves the second run out; the error is then NaN.
-    softened: result of reduce_bulk_modulus for the body, where available.
-    Raises SceneError if `refusal_spectral_elements` returns a reason, for an element inside out, a step above the
-    stable one, and points off the face.
+    deep: number of elements through each sheet. step_s: [s], at most the stable step.
+    precision: "float32" or "float64". softened: result of reduce_bulk_modulus for the body, or None.
+    nu_at_most: largest instantaneous Poisson's ratio; above it the bulk modulus is reduced for longer steps, and the
+        error includes the effect. Default: a value that the accuracy allows
+        (palmfield.skin.approximation.reduce_bulk_modulus); 0.5 leaves the material unchanged.
+    estimate: False: no second run; the error is then NaN.
+    Raises SceneError if `refusal_spectral_elements` returns a reason, for an inverted element, a step above the stable
+    step, and points off the face.
     """
     began = time.perf_counter()
     body, load, requested, points = problem.body, problem.load, problem.times, problem.at
@@ -272,11 +273,11 @@ def solve_spectral_elements(
             if len(early) < len(requested):
                 source += f" up to {early[-1]:.3g} s"
         else:
-            # Elements this large do not converge with their order: the difference was 0.7 to 59 times the error, and
-            # 1.2 times with a sponge, whose error follows no known power of its size
+            # Such large elements do not converge with their order: the difference was 0.7 to 59 times the error. With
+            # a sponge it was 1.2 times; the error of a sponge follows no known power of its size
             errors, source = gap, f"the difference to elements {COARSER} times as wide"
             if chosen.order > 1:
-                # Wider elements may miss an equal part of a sudden velocity; on a short branch they estimated 1/4 of it
+                # Both meshes may miss the same part of a sudden velocity; the estimate was 1/4 with a short branch
                 same = march(prepared(body, at_lower_order(chosen), device, precision), load, requested, points)
                 shares = LOWER * differences(same[:2], fine[:2], normals)
                 errors[1] = max(errors[1], shares[1])
@@ -292,14 +293,14 @@ def solve_spectral_elements(
 
 
 def lifted_points(body: Body, points: Float) -> Float:
-    """Return the points (n, 3) from points (n, 2 or 3): those of a layer lie on its face, those of a slab at z = 0."""
+    """Return points (n, 3) on the face of a layer, or at z = 0 for a slab, from points (n, 2 or 3)."""
     if points.shape[1] == 3:
         return points
     return points_on_face(body, points)
 
 
 def prepared(body: Body, chosen: Plan, device: str, precision: str) -> tuple[Model, Holds, float]:
-    """Return elements, constraints and stable step [s], which runs on one mesh share."""
+    """Return elements, constraints and stable step [s], shared by runs on one mesh."""
     solid, damping = build(body, chosen)
     model = Model(solid, body.sheets, device, precision)
     side = body.side if isinstance(body, Layer) or chosen.sponge_m == 0.0 else "absorbing"
@@ -310,7 +311,7 @@ def prepared(body: Body, chosen: Plan, device: str, precision: str) -> tuple[Mod
 def march(
     made: tuple[Model, Holds, float], load: Load, times: Float, points: Float, step_s: float | None = None
 ) -> tuple[Float, Float, int, float]:
-    """Return the displacement and velocity, (t, n, 3), elements and step of one run."""
+    """Return displacement and velocity, (t, n, 3), number of elements and step [s] of one run."""
     model, holds, stable = made
     solid, step = model.solid, SAFETY * stable if step_s is None else step_s
     start = float(load.times_s[0])
@@ -326,7 +327,7 @@ def march(
     u, v = (np.concatenate([np.zeros((1, len(points), 3)), a.numpy()[: len(target)]]) for a in stepper.readings())
 
     def row(step_number: Any) -> Any:
-        """Return the reading after a step; before the first the body rests."""
+        """Return the reading after a step; it is 0 before the first step."""
         return np.where(step_number < 0, 0, 1 + np.searchsorted(target, np.maximum(step_number, 0)))
 
     before, here, after = (v[row(first + k)] for k in (-1, 0, 1))
@@ -346,7 +347,7 @@ def step_seconds(solid: Solid, gpu: bool) -> float:
 
 
 def likely_step(solid: Solid, sheets: tuple[Sheet, ...]) -> float:
-    """Return an estimate of the stable step [s], from heights in the middle of elements: 1.1 to 1.4 of it on layers."""
+    """Return an estimate of the stable step [s] from the heights of elements; 1.1 to 1.4 times the step on layers."""
     n = solid.order + 1
     corners = solid.nodes[solid.elements.reshape(-1, n, n, n)[:, [0, -1]][:, :, [0, -1]][..., [0, -1]]]
     edges = [np.diff(corners, axis=axis).squeeze(axis).mean(axis=(1, 2)) for axis in (1, 2, 3)]
@@ -357,7 +358,7 @@ def likely_step(solid: Solid, sheets: tuple[Sheet, ...]) -> float:
     for number, material in enumerate(sheet.material for sheet in sheets):
         fast = fast_speed(material)
         elastic = courant * float(spacing[solid.sheet == number].min()) / fast
-        # With a dashpot force of the previous half step: h^2 rate + 2 h t (its share of the rate) = 4
+        # The dashpot force is that of the previous half step: h^2 rate + 2 h t (its share of the rate) = 4
         speed = math.sqrt(material.shear_instant_Pa / material.density_kg_m3)
         late = 4.0 / 3.0 * (speed / fast) ** 2 * material.relaxation.viscous_time_s
         step = min(step, SAFETY * elastic**2 / (late + math.hypot(late, elastic)))
@@ -365,7 +366,7 @@ def likely_step(solid: Solid, sheets: tuple[Sheet, ...]) -> float:
 
 
 def check_time(model: Model, steps: int, step_s: float) -> None:
-    """Raise SceneError, naming the element that makes the step small, where a run would take longer than LONGEST_S."""
+    """Raise SceneError, with the element that makes the step small, if a run would take longer than LONGEST_S."""
     solid = model.solid
     seconds = steps * step_seconds(solid, model.layout.gpu)
     if seconds > LONGEST_S:

@@ -1,4 +1,4 @@
-"""Layer of a scene on spectral elements and its stepper, with a state of the caller."""
+"""Layer of a scene on spectral elements and its stepper; the state belongs to the caller."""
 
 import math
 
@@ -24,7 +24,7 @@ LONGEST_GRAPH = 2000
 
 
 class ElementLayer(OwnMesh):
-    """Spectral elements; see ExplicitLayer."""
+    """Layer of spectral elements; see ExplicitLayer."""
 
     stiffest = solve.STIFFEST
     refusal = staticmethod(solve.refusal_spectral_elements)
@@ -32,7 +32,7 @@ class ElementLayer(OwnMesh):
 
     @locked_cached_property
     def _reduced(self) -> tuple[Body, float]:
-        """The body with a bulk modulus that allows longer steps, and the relative change of its motion."""
+        """Body with a bulk modulus that allows longer steps, and the relative change of its motion."""
         load, width = self.planned_load(), self.layer.demand.spot_fwhm_m
         at = load.centres()[0] + np.array([[0.0, 0.0], [width, 0.0]])
         accuracy = self.layer.config.accuracy
@@ -44,7 +44,7 @@ class ElementLayer(OwnMesh):
 
     @locked_cached_property
     def chosen(self) -> Plan:
-        """Return order and size of the elements."""
+        """Plan of the elements."""
         load, config = self.planned_load(), self.layer.config
         demand = self.layer.demand
         reach = min(demand.path_reach_m[1] + math.hypot(*demand.offset_m[:2]), config.radius_m or math.inf)
@@ -52,7 +52,7 @@ class ElementLayer(OwnMesh):
 
     @locked_cached_property
     def solid(self) -> Solid:
-        """The elements."""
+        """Elements of the body."""
         with self.layer.meshing():
             return build(self.body, self.chosen)[0]
 
@@ -88,7 +88,7 @@ class ElementLayer(OwnMesh):
         return SpectralElementStepper(self, transfer, device)
 
     def error(self, device: str) -> float:
-        """Error that `palmfield.skin.solve` states for these elements under the trial load, with bulk modulus."""
+        """Return the error estimate of `palmfield.skin.solve` for elements and bulk modulus under the trial load."""
         solid, chosen = self.solid, self.chosen
         areas = np.linalg.norm(face_areas(solid), axis=1)
         load, times, at = self.trial(self.body, self.face, areas)
@@ -105,9 +105,9 @@ class ElementLayer(OwnMesh):
 class SpectralElementStepper(OwnMeshStepper):
     """A body on spectral elements, in steps of the scheme that divide a substep; see SkinStepper.
 
-    A state has u and v by node, w and y of each branch by copy (see run.Stepper), as float32 in float64, so that it is
-    the same on every device. Velocities are those of half a step of the scheme before.
-    Raises SceneError for an element that is flat or inside out.
+    A state has u and v by node, w and y of each branch by copy (see run.Stepper), as float32 values in float64, so that
+    it is the same on every device. Velocities are half a step of the scheme earlier.
+    Raises SceneError for an element that is flat or inverted.
     """
 
     name = "spectral_elements"
@@ -135,7 +135,7 @@ class SpectralElementStepper(OwnMeshStepper):
         return motion
 
     def _room(self, substeps: int) -> Stepper:
-        """Arrays to step in: those of an earlier call if no other thread has them. Taken and given back atomically."""
+        """Return work arrays, reused from an earlier call if no other thread has them; list operations are atomic."""
         try:
             room = self._rooms.pop()
         except IndexError:
