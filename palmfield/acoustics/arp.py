@@ -36,7 +36,7 @@ class SurfaceSound(NamedTuple):
 class ArpLaw:
     """ARP = pressure |p|^2/(rho c^2) - along rho |u_t|^2 + across rho |u_n|^2, with peak amplitudes of the field.
 
-    about: description; u_t, u_n: velocity along the surface and along its normal
+    about: description; u_t, u_n: velocity along the surface and along the normal
     """
 
     about: str

@@ -26,7 +26,7 @@ def boundary_mesh(vertices: Float, faces: Int, wavelength_m: float) -> tuple[Flo
     """
     vertices, faces = checked_mesh(vertices, faces)
     edge = wavelength_m / EDGES_PER_WAVELENGTH
-    # Equilateral triangles of such edges are the fewest that cover the surface
+    # The least number of faces is that of equilateral triangles with this edge
     if not (edge > 0.0 and 2.31 * face_normals(vertices, faces)[1].sum() < MOST_FACES * edge**2):
         raise PalmfieldError(f"wavelength_m is {wavelength_m:g}; allowed: above 0, and at most {MOST_FACES:,} faces")
     fine, triangles, _ = with_short_edges(vertices, faces, edge)

@@ -80,9 +80,8 @@ class Pose(_Part):
 class Level(_Part):
     """Pressure as a function of the drive level a: p = p0 a^exponent up to linear_to, and less above it.
 
-    exponent, exponent_sd: exponent and its standard error; linear_to: level above which more than 5 % is missing, 1 if
-    there is none.
-    """
+    exponent, exponent_sd: exponent and its standard error.
+    linear_to: level above which the pressure is more than 5 % too low; 1 if there is no such level."""
 
     exponent: Positive
     exponent_sd: NonNegative
@@ -90,7 +89,7 @@ class Level(_Part):
 
 
 class WarmUp(_Part):
-    """Amplitude over the time since switching on, relative to the final one: 1 + drop exp(-t/time_s)."""
+    """Amplitude over the time since switching on, relative to the final amplitude: 1 + drop exp(-t/time_s)."""
 
     drop: float
     drop_sd: NonNegative

@@ -83,7 +83,7 @@ def _of_table(form: Measured) -> Float:
 def _fitted(form: Directivity, kb: float, degree: int) -> Float:
     s = np.linspace(0.0, 1.0, 501)
     level = form.level(s, kb)
-    even = np.ptp(level) == 0.0  # then exactly 1, which interpolation would change by rounding
+    even = np.ptp(level) == 0.0  # then the value is exactly 1; interpolation would change it by rounding
     polynomial = np.eye(degree + 1)[0] if even else fit(lambda s: form.level(s, kb), degree, 1.0)
     error = float(np.abs(polyval(s, polynomial) - level).max())
     if not error <= form.misfit:

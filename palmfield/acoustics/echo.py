@@ -13,8 +13,8 @@ from palmfield.errors import SceneError
 from palmfield.types import Air, Float
 
 REST = 2e-3
-"""Bound on the pressure of all omitted images, relative to that of all transducers at full drive at the wall, each
-straight below the point."""
+"""Bound on the pressure of all omitted images, relative to the pressure at the wall of all transducers at full drive if
+each of them were straight above the point."""
 MOST_IMAGES = 400
 
 
@@ -30,7 +30,7 @@ def rest_beyond(images: int, absorption_Np_m: float, distance_m: float) -> float
 def image_count(air: Air, frequency_Hz: float, distance_m: float) -> int:
     """Return the number of images for which the omitted pressure is below REST.
 
-    Raises SceneError for more than MOST_IMAGES, which short distances with little absorption need.
+    Raises SceneError if more than MOST_IMAGES are needed, as for short distances with little absorption.
     """
     absorption = absorption_Np_m(air, frequency_Hz)
     for images in range(MOST_IMAGES + 1):

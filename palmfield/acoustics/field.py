@@ -44,8 +44,8 @@ WIDE = 1024
 """Number of points per block of a comparison; NumPy along rows of three takes 70 times as long."""
 
 RANGE_STEP_M = 1.0 / 64.0
-"""Grid of the ends of the range in which the decay of sound is fitted [m]. A fit then serves many poses, and depends
-only on the present positions of the points, so runs repeat to the bit."""
+"""Grid of the ends of the range in which the decay of sound is fitted [m]. A fit is then valid for many poses. It
+depends only on the present positions of the points, so runs repeat to the bit."""
 
 CUBIC_REACH_Np = 0.4
 """Largest absorption times range of distances for a cubic in place of the exponential, with an error of 1e-5."""
@@ -54,7 +54,7 @@ QUADRATIC_REACH_Np = 0.08
 """Largest absorption times range of distances for a quadratic, with an error of 3e-6."""
 
 SMOOTH = 1e-5
-"""Largest error of a quartic for directivities; it has one power less than the quintic, 1/20 of the work."""
+"""Largest error of a quartic for directivities; it has one power less than the quintic and saves 1/20 of the work."""
 
 Mode = Literal["fast", "accurate"]
 MODES: tuple[Mode, ...] = ("fast", "accurate")
@@ -275,7 +275,7 @@ class FieldEvaluator(FieldSum):
 
         The coefficients, shape (4,), are for lengths in m, or with gradient in units of 1/k.
         """
-        # `distances` of two boxes, without a call: each evaluation of the points of a step needs it
+        # The same as `distances` of two boxes, without a call, because every evaluation needs it
         gap, reach = 0.0, 0.0
         for first, last, least, most in zip(low, high, *self._box, strict=True):
             gap += max(least - last, first - most, 0.0) ** 2
@@ -325,7 +325,7 @@ class _Call:
         self._sent = wp.Event(one.device) if self._gpu else None
         accurate = one.mode == "accurate"
         vec3, vec4, _ = one.vectors
-        # Points come last: where they are on the device, only what is before them is uploaded
+        # Points are last: if they are already on the device, only the data before them is uploaded
         self._inputs = SharedBlock(
             {
                 "drive": ((1, sum(len(chosen) for _, chosen in parts)), wp.vec2 if gradient else wp.vec2d),
@@ -505,7 +505,7 @@ def distances(points: NDArray[Any], positions: Float) -> tuple[float, float]:
 def _fall(absorption_Np_m: float, p0_Pa_m: float, unit_m: float, near: int, far: int) -> tuple[str, Float]:
     """Return `FieldEvaluator.fall` between two distances in RANGE_STEP_M."""
     kind, fall = falling(absorption_Np_m, near * RANGE_STEP_M, far * RANGE_STEP_M)
-    # For distances in the unit, so that amplitudes over distance stay in Pa
+    # Coefficients are for distances in this unit, so that amplitudes over distance stay in Pa
     scaled: Float = p0_Pa_m * fall * unit_m ** np.array([-1.0, 0.0, 1.0, 2.0])
     scaled.setflags(write=False)
     return kind, scaled

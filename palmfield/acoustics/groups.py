@@ -11,8 +11,8 @@ from palmfield.types import Array, Float, Int
 SAME_PLANE_M = 1e-9
 SAME_AXIS = 1e-9
 FLAT_FROM = 32
-"""Transducers per saved plane up to which a height for every transducer costs less than separate planes. A new group
-costs as much as two to four pairs (point, transducer), a height 1/20 to 1/10 of a pair."""
+"""Number of transducers per saved plane up to which a height for each transducer costs less than separate planes. A
+group costs as much as two to four pairs (point, transducer), a height 1/20 to 1/10 of a pair."""
 
 
 @dataclass(frozen=True)

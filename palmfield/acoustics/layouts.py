@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its submodules at first use
 
 from palmfield.acoustics.directivities.t4010a1 import T4010A1_DIRECTIVITY
 from palmfield.acoustics.placement import combined, from_poses, placed
@@ -118,14 +118,14 @@ def openmpd_order() -> Int:
 
 
 def openmpd() -> Array:
-    """OpenMPD in the transducer order of the vendor (columns from low x, each from high y), with bytes as addresses."""
+    """Return OpenMPD in the order of the vendor (columns from low x, each from high y), with bytes as addresses."""
     x, y, z = grid(10.5e-3).reshape(16, 16, 3)[::-1].transpose(2, 1, 0).reshape(3, 256)
     normals = np.tile([0.0, 0.0, 1.0], (256, 1))
     return from_poses("openmpd", np.column_stack([x, y, z]), normals, address=openmpd_order())
 
 
 def openmpd_rows() -> Array:
-    """OpenMPD in byte order, by rows from low y, x fastest."""
+    """Return OpenMPD in byte order, by rows from low y, x fastest."""
     normals = np.tile([0.0, 0.0, 1.0], (256, 1))
     return from_poses("openmpd_rows", grid(10.5e-3), normals, address=np.arange(256, dtype=np.int32))
 
@@ -150,10 +150,10 @@ def autd2018() -> Array:
 
 
 def autd2018_2x2() -> Array:
-    """Four units by columns from the left, each from below. Margins are left and below in the left column, and right
-    and above in the right column, whose units are rotated by 180 degrees."""
+    """Return four units by columns from the left, each from below. Margins are left and below in the left column. Units
+    in the right column are rotated by 180 degrees, so their margins are right and above."""
     board = autd_board()
-    # from the centre of the board to that of its sites, which reach the right and upper edges of the board
+    # from the centre of the board to the centre of its sites, which reach the right and upper edges of the board
     offset = [
         (outer - ((count - 1) * AUTD_PITCH_M + TRANSDUCER_DIAMETER_M)) / 2
         for outer, count in zip(AUTD_BOARD_M, (AUTD_COLUMNS, AUTD_ROWS), strict=True)
@@ -199,7 +199,7 @@ def bow(focal_length_m: float) -> tuple[Float, Float]:
 
 
 def two_bow(name: str, focal_length_m: float, piston_radius_m: float) -> Array:
-    """Two bows along y, inclined from both sides towards their common focus; speakers 1-6 at low x, then 7-12."""
+    """Return two bows along y, inclined towards a common focus from both sides; speakers 1-6 at low x, then 7-12."""
     positions, normals = bow(focal_length_m)
     one = from_poses(name, positions, normals, piston_radius_m=piston_radius_m)
     tilt = np.radians(BOW_TILT_DEG)

@@ -1,14 +1,14 @@
 """Effect of nonlinear propagation on a focused beam: steepening, and the remaining amplitude of the fundamental.
 
-sigma is the propagation distance over the shock distance, integrated along the beam because a focused beam is loud only
-near its focus. The formulas are for plane waves (Blackstock, Fundamentals of Physical Acoustics, 2000), so they give
-the order of magnitude in a focus.
+sigma is the propagation distance over the shock distance. It is integrated along the beam, because a focused beam is
+loud only near its focus. The formulas are for plane waves (Blackstock, Fundamentals of Physical Acoustics, 2000), so
+they give only the order of magnitude in a focus.
 """
 
 import math
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its submodules at first use
 from numpy.typing import ArrayLike
 from scipy.special import jv
 
@@ -91,7 +91,7 @@ def fundamental_left(sigma: float) -> float:
 
 
 def arp_left(sigma: float) -> float:
-    """Return the ARP relative to that of a linear beam; below the shock distance harmonics replace all of the loss.
+    """Return the ARP relative to that of a linear beam; below the shock distance, harmonics have all of the lost ARP.
 
     It is the mean square of the steepened sine with its weak shock, (2/pi) ((pi - s)/2 + sin(2s)/4 + sigma sin(s)^3/3),
     where s = sigma sin(s) is the phase that has entered the shock.

@@ -65,8 +65,8 @@ class Occlusion:
         self._threads = cores() if threads is None else threads
         self._vertices = SharedArray(len(vertices), wp.vec3, self.device)
         corners: wp.array = wp.array(np.asarray(faces, np.int32).ravel(), dtype=wp.int32, device=self.device)
-        # Built with the bodies far from each other, so that no branch has faces of two bodies, which would stretch it
-        # when the bodies move
+        # Built with the bodies far from each other, so that no branch has faces of two bodies: such a branch would
+        # grow when the bodies move
         extent = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
         body = np.repeat(np.arange(len(counts)), counts) if len(counts) else np.zeros(len(vertices), int)
         self._vertices.put(vertices + np.outer(2.0 * extent * body, [1.0, 0.0, 0.0]))

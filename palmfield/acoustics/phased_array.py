@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its submodules at first use
 from numpy.typing import NDArray
 
 from palmfield.acoustics.air import density, sound_speed
@@ -36,7 +36,7 @@ HOUSING_M = 5e-3
 FLAT_M = 1e-6
 """Largest difference of the heights of transducers in one plane [m]."""
 SAME_PLACE = 1e-9
-"""Positions [m] and directions that differ by less are equal."""
+"""Difference of positions [m] and directions below which they count as equal."""
 
 
 @dataclass(frozen=True)
@@ -231,8 +231,8 @@ class PhasedArray:
         (`palmfield.acoustics.echo`); None without reflections.
     parts: transducers of each array in its own frame. slices: slice of each part in the numbering of all transducers.
     groups: transducers by directivity, in the array frame. images: groups for the multiple reflections.
-    array: all transducers, for positions, directions and gains; for sound use `pressure64` or `field`, because with
-        different directivities it has the largest piston and no table. impedance: rho c^2 of the air [Pa].
+    array: all transducers, for positions, directions and gains only: with different directivities it has the largest
+        piston and no table. For sound use `pressure64` or `field`. impedance: rho c^2 of the air [Pa].
     frames: frame of each part relative to the first. boards: outline of each part, in its own frame.
     sides: numbers of the transducers of each part, or of each direction of a part that wraps a body.
     corners: corners of a box round the transducers of each side, array frame [m], shape (8 sides, 3).

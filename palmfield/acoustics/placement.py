@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its submodules at first use
 from numpy.typing import ArrayLike
 
 from palmfield.acoustics import check

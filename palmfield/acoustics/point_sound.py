@@ -156,8 +156,8 @@ def _unit(count: int) -> NDArray[np.float64]:
 
 
 class Surface(NamedTuple):
-    """Points of one body. points: slice of all points; law: ARP law or its key; mesh: obstacles that shade the points,
-    or None; shades: shares of the sound that pass, with diffraction, or None"""
+    """Points of one body. points: slice of all points; law: ARP law or its key; mesh: obstacles for shadows by rays, or
+    None; shades: shares of the sound that pass, with diffraction, or None"""
 
     points: slice
     law: str | ArpLaw
@@ -198,7 +198,7 @@ def sound_calls(
         if len(shaded) < len(surfaces):
             kernel, dim = kernels.fields(rows, device != "cpu"), (capacity // rows, own_runs, count)
             calls.append(launch(kernel, dim, [points, normals, *of_group, None, None, fields], device))
-        # Overwrites the fields of these points without shades
+        # These launches overwrite the fields of these points, which have no shades
         for surface in shaded:
             assert surface.shades is not None
             here, dim = surface.points, (capacity // rows, own_runs, surface.points.stop - surface.points.start)

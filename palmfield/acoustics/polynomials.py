@@ -4,13 +4,13 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its submodules at first use
 from numpy.polynomial import Chebyshev, Polynomial
 
 from palmfield.types import Float
 
 ATTENUATION_REACH_Np = 0.25
-"""Largest absorption times distance for the cubic of `attenuation`, with a relative error of 1.4e-6."""
+"""Largest absorption times distance for the cubic of `attenuation`; its relative error is then 1.4e-6."""
 
 
 def fit(function: Callable[[Float], Float], degree: int, high: float) -> Float:

@@ -13,7 +13,7 @@ GROUP = 3.75
 TURN_m = 0.03
 """Distance equivalent to an angle of 90 degrees between normals, so that the sides of a finger are not neighbours."""
 STIFFNESS = 0.03
-"""Regularisation of the slopes between nodes that are nearly in a line."""
+"""Regularisation of the slopes between nodes that lie nearly on a line."""
 
 
 class ShadowNodes(NamedTuple):

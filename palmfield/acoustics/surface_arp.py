@@ -232,7 +232,7 @@ class SurfaceArp:
         by_matrix = uniform and frames >= MATRIX_FROM
         transfer = self._stored_matrix(points, normals) if by_matrix else None
         if by_matrix and transfer is None:
-            # Imported here, because few scenes have so many drives at once
+            # Imported here, because few scenes have so many drives together
             from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
 
             by_matrix = not too_steep(evaluator, points)

@@ -1,7 +1,7 @@
 """Default data of transducers, and a measured directivity as a polynomial."""
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its submodules at first use
 from numpy.polynomial import polynomial
 
 from palmfield.errors import SceneError
@@ -33,8 +33,8 @@ TABLE_MISFIT_LIMIT = 0.02
 def table_coefficients(table: Float) -> Float:
     """Return the quintic in sin^2(angle) nearest to a table, shape (6,), lowest power first; it is 1 on the axis.
 
-    Least squares at every half degree of the monotone cubic interpolant (PCHIP) of the table, which is mirrored at the
-    axis so that it is smooth there.
+    The fit is by least squares to the monotone cubic interpolant (PCHIP) of the table at every half degree. The table
+    is mirrored at the axis so that the interpolant is smooth there.
 
     table: angle [deg] from 0 to 90 and amplitude relative to the axis, shape (m, 2).
     Raises SceneError if the error of the quintic at an entry exceeds TABLE_MISFIT_LIMIT.

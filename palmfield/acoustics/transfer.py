@@ -27,14 +27,14 @@ SPAN_FROM = 0.7
 """Share of the number of transducers above which a reduction saves no work."""
 FIRST_SAMPLE = 64
 
-# Sixteen rows of points for a block of frames are 1 MB, so they remain in the cache between product and ARP
+# Sixteen rows of points for a block of frames are 1 MB, so they stay in the cache between product and ARP
 POINTS_A_BLOCK = 256
 FRAMES_A_BLOCK = 64
 GPU_SCRATCH_BYTES = 2**31
 BYTES_LIMIT = 2**32
 """Largest size of a matrix [bytes] on any machine."""
 GPU_SHARE = 8
-"""A GPU stores the matrix twice, its reduced form, blocks of products, and the result."""
+"""Free GPU memory over largest matrix: a GPU stores the matrix twice, its reduced form, blocks of products, and ARP."""
 MATRIX_FROM = 16
 """Number of frames from which the matrix is faster; it takes as long as 10 to 15 frames (docs/bench/frames.md)."""
 

@@ -1,4 +1,4 @@
-"""Compute the commanded and emitted drive of transducers from focal points, and drive boards that play it.
+"""Compute the commanded and emitted drive of transducers for focal points, and play it on boards.
 
 from palmfield.drive import solve_foci
 drive = solve_foci([[0.0, 0.0, 0.15], [0.02, 0.0, 0.15]], array, air).drive

@@ -1,4 +1,4 @@
-"""Drive of an array for a focus: phases that focus the sound there, and the level."""
+"""Drive of an array for a focus: phases that focus the sound, and the level."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ Bool = NDArray[np.bool_]
 FOCI = 64
 """Number of foci whose drives one thread computes together."""
 KEPT = 32
-"""Number of cached unit drives: a path that rests at few points returns to each of them."""
+"""Number of cached unit drives; they are reused for paths that rest at few points."""
 
 
 class UnitDrive:
@@ -45,12 +45,12 @@ class UnitDrive:
 class ArrayDrive:
     """Drives the transducers of one stimulus, with the arrays in one relative pose.
 
-    array: the arrays of the scene as one source; chosen: transducers that this stimulus drives, shape (k,), ascending
-        arp_peak_Pa: ARP at the focus at the loudest moment, if the stimulus sets it; drive_amplitude: drive amplitude
-        of each transducer, if the stimulus sets it (1 if it sets neither); board: board that plays the drive
+    array: the arrays of the scene as one source; board: board that plays the drive
+    chosen: numbers of the transducers that this stimulus drives, ascending, shape (k,)
+    arp_peak_Pa: ARP at the focus at the loudest moment, if the stimulus sets it
+    drive_amplitude: drive amplitude of each transducer, if the stimulus sets it (1 if it sets neither)
     about, about_focus: first words of error messages on the drive, and on its foci
-    Amplitudes are over all N transducers, 0 for those that are not chosen.
-    """
+    Amplitudes are those of all N transducers, 0 for transducers that are not chosen."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class ArrayDrive:
         self._stored: dict[bytes, UnitDrive] = {}
         self._unchecked = True
         self._last: tuple[FocalPoints, bytes, UnitDrive] | None = None
-        # Cache of palmfield.drive.transducer_response for fixed points
+        # Cache for fixed points, of palmfield.drive.transducer_response
         self.delays: tuple[FocalPoints, tuple[Float, Int | None]] | None = None
 
     def unit_drive(self, point: Float, loudness: Float | None = None) -> UnitDrive:
@@ -108,7 +108,7 @@ class ArrayDrive:
         return last[2]
 
     def level_at(self, focal_points: FocalPoints, point: Float) -> float:
-        """Return `unit_drive_at(...).level` of a board that takes a focus, before the rounding of the board."""
+        """Return `unit_drive_at(...).level` for a board whose frames contain a focus, before the board rounds it."""
         loudness = focal_points.loudness(point)
         place = focal_points.at(point)
         if loudness is not None or place.ndim > 1:
@@ -175,13 +175,13 @@ class ArrayDrive:
         points: for each row one point of the stimulus, shape (k, 3), or several, shape (k, d, 3), from which
             `group`, shape (N,), selects one for each transducer
         focal_points: places of these points
-        audible: whether each point will sound, shape (k, d): only these must be within the range of the array. Errors
-        as unit_drive.
+        audible: whether each point will sound, shape (k, d): only these must be within the range of the array
+        Raises the errors of unit_drive.
         """
         points = points.reshape(len(points), -1, 3)
         if len(focal_points.offsets) or self.board.line is not None or self.correction is not None:
             return self._one_by_one(points, focal_points, group, audible)
-        if len(points) > FOCI:  # in parts, of which each thread computes some
+        if len(points) > FOCI:  # in parts, shared by threads
             parts = [slice(first, first + FOCI) for first in range(0, len(points), FOCI)]
             drives = np.empty((len(points), self.count), np.complex128)
 
@@ -211,17 +211,17 @@ class ArrayDrive:
         return self._over_all(drives)
 
     def played_levels(self, levels: Float, full: float) -> Float:
-        """Round levels of a drive as the board plays them, same shape; full: amplitude of the drive at level 1, 0..1.
+        """Return levels of a drive as the board plays them, same shape; full: amplitude of the drive at level 1, 0..1.
 
-        Only for a board that rounds levels in each frame. For several foci, whose transducers differ, they are
-        unchanged.
+        Use it only for a board that rounds levels in each frame. For several foci, whose transducers have different
+        amplitudes, levels are unchanged.
         """
         if full == 0.0:
             return levels
         return self.board.rounded(levels * full) / self.board.rounded(np.array(full))
 
     def focusing(self, foci: Float, some: Int) -> Complex:
-        """Drives exp(-i k d) of some of the chosen transducers for foci [m], shape (k, 3), each separately, (k, n)."""
+        """Return drives exp(-i k d) of some of the chosen transducers for each of several foci [m], (k, 3): (k, n)."""
         offsets = foci[:, None, :] - self.places.T[some]
         return np.asarray(np.exp(-1j * self.wavenumber * np.sqrt(np.einsum("ijk,ijk->ij", offsets, offsets))))
 
@@ -248,7 +248,7 @@ class ArrayDrive:
         return np.sqrt(distances, out=distances), dx
 
     def _waves(self, distances: Float) -> Complex:
-        """Return exp(-i k d), of the distances' shape."""
+        """Return exp(-i k d) for distances d [m], same shape."""
         turns: Float = -self.wavenumber * distances
         waves = np.empty(turns.shape, np.complex128)
         np.cos(turns, out=waves.real)
@@ -256,7 +256,7 @@ class ArrayDrive:
         return waves
 
     def _over_all(self, drives: Complex) -> Complex:
-        """Insert drives of the chosen transducers, shape (n,) or (k, n), into those of all."""
+        """Return drives of all transducers for drives of the chosen ones, shape (n,) or (k, n)."""
         if self.everything:
             return drives
         full = np.zeros((*drives.shape[:-1], self.count), np.complex128)
@@ -264,14 +264,14 @@ class ArrayDrive:
         return full
 
     def _refuse(self, point: Float) -> None:
-        """Raise SceneError: no transducer faces this focus."""
+        """Raise SceneError for a focus that no transducer faces."""
         with naming(*self.about_focus):
             focus(only(self.array.array, self.chosen), self.array.air, point)
 
     # -- its level ---------------------------------------------------------------------------------------------------
 
     def _levels_at(self, foci: Float, audible: Bool | None) -> Float:
-        """Return `_levels` for foci of shape (k, d, 3); silent ones get 0. Shape (k, d)."""
+        """Return `_levels` for foci of shape (k, d, 3), shape (k, d); the level of silent foci is 0."""
         if audible is None:
             return self._levels(foci.reshape(-1, 3)).reshape(foci.shape[:2])
         levels = np.zeros(foci.shape[:2])
@@ -299,7 +299,7 @@ class ArrayDrive:
 
     @cached_property
     def _parts(self) -> list[tuple[Array, slice, Float | Complex]]:
-        """Return arrays with chosen transducers, the indices of these among the chosen ones, and their gains."""
+        """Return for each array its chosen transducers, their indices among all chosen transducers, and their gains."""
         result = []
         start = 0
         for part in self.array.parts:
@@ -312,7 +312,7 @@ class ArrayDrive:
         return result
 
     def _reached(self, full_Pa: Float, foci: Float) -> Float:
-        """Return levels for the target ARP, from that at full drive [Pa], shapes (q,); foci: (q, 3) or (q, m, 3)"""
+        """Return levels for the target ARP, from the ARP at full drive [Pa], (q,); foci: (q, 3) or (q, m, 3)."""
         target = self.arp_peak_Pa
         assert target is not None
         if not np.logical_and.reduce(full_Pa >= target):
@@ -331,10 +331,10 @@ class ArrayDrive:
             )
         return np.sqrt(target / full_Pa)
 
-    # -- several foci at once, and boards ----------------------------------------------------------------------------
+    # -- several foci, and boards ------------------------------------------------------------------------------------
 
     def _several(self, foci: Float, loudness: Float | None) -> Complex:
-        """Return phases for several foci [m], shape (m, 3), of the chosen transducers, (n,); loudness: shape (m,)"""
+        """Return drives of the chosen transducers, (n,), for several foci [m], shape (m, 3); loudness: shape (m,)."""
         from palmfield.drive.foci import together  # imported here, because most stimuli have one focus
 
         transfer, facing = self._towards(foci)
@@ -346,13 +346,13 @@ class ArrayDrive:
         return phases
 
     def leading_of(self, foci: Float, loudness: Float) -> Complex:
-        """Return the start phases of simultaneous foci [m], shape (m, 3) (`leading_vector`); loudness: shape (m,)"""
+        """Return the start phases of simultaneous foci [m], shape (m, 3) (`leading_vector`); loudness: shape (m,)."""
         from palmfield.drive.foci import leading_vector
 
         return leading_vector(self._towards(foci)[0], loudness)
 
     def _towards(self, foci: Float) -> tuple[Complex, Bool]:
-        """Transfer matrix to foci, shape (m, f), of the transducers that face them all, and which these are, (n,)."""
+        """Return the transfer matrix (m, f) from the transducers that face all foci, and which these are, (n,)."""
         distances, heights = self._rays(*foci.T[:, :, None])
         facing = np.logical_and.reduce(heights > 0.0, axis=0)
         return self._transfer(distances, heights)[:, facing], facing
@@ -383,7 +383,7 @@ class ArrayDrive:
         return float(self._reached(np.array([full]), foci[None])[0])
 
     def _one_by_one(self, points: Float, focal_points: FocalPoints, group: Int | None, audible: Bool | None) -> Complex:
-        """Return `unit_drives` for drives that must be computed point by point; equal points are computed once."""
+        """Return `unit_drives`, computed point by point; equal points are computed once."""
         rows, columns = points.shape[:2]
         drives = np.zeros((rows, self.count), np.complex128)
         columns_of = [slice(None)] if group is None else [(group == j).nonzero()[0] for j in range(columns)]

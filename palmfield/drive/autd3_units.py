@@ -25,7 +25,7 @@ WAYS = (
 class Autd3Units:
     """AUTD3 units in one row of the network. Each whole frame becomes one pattern, without silencer or modulation.
 
-    A frame is sent when all units have acknowledged the previous one, so no frame waits here.
+    A frame is sent when all units have acknowledged the previous frame, so no frame waits here.
     name: as in `open_units`
     """
 
@@ -40,9 +40,9 @@ class Autd3Units:
         self._rest = b""
 
     def write(self, data: bytes) -> bool:
-        """Always True: on return all units have taken every whole frame in `data`.
+        """Send all whole frames in `data`; return True when all units have acknowledged them.
 
-        The number of units follows from the first bytes. Raises DeviceError if they cannot be opened, PortLost if units
+        The number of units follows from the first bytes. Raises DeviceError if units cannot be opened, PortLost if they
         are lost.
         """
         if self._client is None:
@@ -134,9 +134,8 @@ class Autd3Units:
 def open_units(name: str, target: str) -> Autd3Units:
     """Open AUTD3 units on a link listed in WAYS; the search begins with the first bytes, which give their number.
 
-    name: name for messages; target: text after autd3: in WAYS
-    emulator: units emulated by the AUTD3 software in this process
-    Raises DeviceError for another link, and if the extra is not installed.
+    name: name for messages; target: text after autd3: in WAYS ("emulator": units emulated by the AUTD3 software in this
+    process). Raises DeviceError for another link, and if the extra is not installed.
     """
     way, number = _parts(target)
     if not way or (way in NUMBERED and number and not number.isdigit()):

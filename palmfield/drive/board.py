@@ -16,13 +16,13 @@ from palmfield.types import Air, Complex, Float
 
 AmplitudeKind = Literal["continuous", "on_off", "pulse_width"]
 TWIN_DELAY_S = 0.1
-"""Longer than the delay of whole frames in any board, and shorter than any watchdog."""
+"""Time that is longer than the delay of whole frames in any board, and shorter than any watchdog [s]."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 @dataclass(frozen=True)
 class Line:
-    """The line to a board. bytes_per_s: its rate; baud: baud rate of a serial port, None for other lines."""
+    """The line to a board. bytes_per_s: rate of the line; baud: baud rate of a serial port, None for other lines."""
 
     bytes_per_s: float
     baud: int | None = None
@@ -41,28 +41,26 @@ def serial_line(baud: int) -> Line:
 
 
 class Emitted(NamedTuple):
-    """Emission of a board from a moment on. time_s: time on the clock of its line [s]; amplitudes: complex, shape
-    (n,)
-    """
+    """Emission of a board from a moment on. time_s: time on the clock of the line [s]; amplitudes: complex, (n,)."""
 
     time_s: float
     amplitudes: Complex
 
 
 def frames_in_words(emitted: Sequence[Emitted]) -> str:
-    """Return the number of frames of a board, and how many differ from the one before, the first from silence."""
+    """Return as text the number of frames of a board, and how many differ from the frame before, first from silence."""
     before = [np.zeros_like(one.amplitudes) for one in emitted[:1]] + [one.amplitudes for one in emitted[:-1]]
     differ = sum(not np.array_equal(one.amplitudes, last) for one, last in zip(emitted, before, strict=True))
     return f"{len(emitted)} frames, {differ} of them different from the previous one"
 
 
 def rate_in_words(rate_Hz: float) -> str:
-    """Return a rate in frames a second as text, to 0.1."""
+    """Return a rate in frames per second as text, to 0.1."""
     return f"{rate_Hz:.1f}".removesuffix(".0")
 
 
 class Flag(NamedTuple):
-    """An error that a virtual board detected. kind: overrun, dc or garbled; text: text in words"""
+    """An error that a virtual board detected. kind: overrun, dc or garbled; text: description in words"""
 
     time_s: float
     kind: str
@@ -72,7 +70,7 @@ class Flag(NamedTuple):
 class Twin(ABC):
     """A simulated board after power-up: reads bytes, computes its emission, and sets flags for invalid bytes.
 
-    count: transducers; byte_s: time of a byte on the line [s]
+    count: number of transducers; byte_s: time of a byte on the line [s]
     time_s: arrival of the last byte [s]; flags: detected errors
     """
 
@@ -87,9 +85,9 @@ class Twin(ABC):
         """Present emission: complex amplitude of each transducer at the carrier, e^{-iwt}, shape (n,)."""
 
     def feed(self, data: bytes, time_s: float | None = None) -> list[Emitted]:
-        """Read bytes from the line; returns the emission after each byte that changes it.
+        """Read bytes from the line; return the emission after each byte that changes it.
 
-        time_s: start of the first bit of the first byte [s]; None, and an earlier time, is right after the last byte
+        time_s: start of the first bit of the first byte [s]; None, or a time too early: right after the last byte
         """
         if time_s is not None:
             self.time_s = max(self.time_s, time_s)
@@ -97,10 +95,10 @@ class Twin(ABC):
 
     @abstractmethod
     def take(self, data: bytes) -> list[Emitted]:
-        """Do `feed` for consecutive bytes; advances `time_s`."""
+        """Do `feed` for consecutive bytes, and advance `time_s`."""
 
     def until(self, time_s: float) -> list[Emitted]:
-        """Return changes without bytes up to a time [s]: delayed frames, a watchdog."""
+        """Return the changes of the emission up to a time [s] without further bytes: delayed frames, a watchdog."""
         return []
 
     def flag(self, kind: str, text: str) -> None:
@@ -108,7 +106,7 @@ class Twin(ABC):
 
 
 class RewiredTwin(Twin):
-    """The twin of a board whose transducers are wired in another order than in the layout."""
+    """Twin of a board whose transducers are wired in another order than in the layout."""
 
     def __init__(self, inner: Twin, places: tuple[int, ...]) -> None:
         super().__init__(inner.count, inner.byte_s)
@@ -133,24 +131,22 @@ class RewiredTwin(Twin):
 
 @dataclass(frozen=True)
 class Board:
-    """A board: its limits, its bytes and their virtual twin. One file of `palmfield.drive.boards` each.
+    """A board: its limits, its bytes and their virtual twin. Each board is one file of `palmfield.drive.boards`.
 
-    description: description in words; layouts: layouts of the arrays that it drives, the one that `--board` gives
-    first; empty for any
+    description: description in words; layouts: layouts of its arrays, that of option `--board` first; empty for any
     unit, most_units: transducers of one unit, and largest number of units on one line; units: number of units in use
-    arrays: how many arrays of a scene it drives at once, (least, most)
-    line: how bytes reach it, None for a board without bytes; max_frame_rate_Hz: frames a second, inf for any
-    phase_steps: phase steps in a turn, None for any phase; amplitude, amplitude_steps: kind of amplitudes of each
-    transducer, and
-        number of levels above 0
-    takes: whether a frame contains the amplitude of each transducer, or place and level of one focus
-    start, stop: byte sequences before the first frame and after the last; both silence it
+    arrays: least and largest number of arrays of a scene that it drives together
+    line: line for its bytes, None for a board without bytes; max_frame_rate_Hz: frames per second, inf for any
+    phase_steps: phase steps in a turn, None for any phase
+    amplitude, amplitude_steps: kind of amplitudes of each transducer, and number of levels above 0
+    takes: "amplitudes": a frame contains the amplitude of each transducer; "focus": place and level of one focus
+    start, stop: byte sequences before the first frame and after the last; both silence the board
     when_host_dies, cannot_guarantee: one sentence each
     modulates: whether the board generates an envelope, which the scene must request
-    keys: keys of palmfield.driver that it takes besides `board`
+    keys: keys of palmfield.driver for this board, in addition to `board`
     dither: whether amplitudes are made by switching some transducers on and others off
-    compensate: whether the sent drive compensates dead and inverted transducers and known phases
-    places: places of each transducer in the byte order of the board; empty if it is the order of the layout
+    compensate: whether the sent drive compensates dead and inverted transducers and measured phases
+    places: place of each transducer in the byte order of the board; empty for the order of the layout
     """
 
     name: str
@@ -198,7 +194,7 @@ class Board:
 
     @property
     def frame_bytes(self) -> int:
-        """Bytes of one frame."""
+        """Number of bytes of one frame."""
         if self.takes == "focus":
             return len(self.encode_focus((0.0, 0.0, 0.2), 0.0))
         return 0 if self.exact else len(self.encode(np.zeros(self.transducers)))
@@ -210,7 +206,7 @@ class Board:
 
     @property
     def phase_loss(self) -> float:
-        """Expected share of the focal pressure after the rounding of phases."""
+        """Expected share of the focal pressure that is left after the rounding of phases."""
         if self.phase_steps is None:
             return 1.0
         from palmfield.drive.quantise import phase_loss
@@ -218,7 +214,7 @@ class Board:
         return phase_loss(self.phase_steps)
 
     def sized(self, transducers: int) -> Self:
-        """Return this board with the number of units for so many transducers. Raises DeviceError if none fits."""
+        """Return this board with the units for this number of transducers. Raises DeviceError if no number fits."""
         units, rest = divmod(transducers, self.unit)
         if self.exact:
             return self
@@ -238,13 +234,13 @@ class Board:
         return replace(self, **keys)
 
     def rounded(self, levels: Float) -> Float:
-        """Return the emission for levels 0..1 that all transducers share, of the same shape."""
+        """Return the emitted levels for commanded levels 0..1 that all transducers share, same shape."""
         return levels
 
     def modulating(self, frequency_Hz: float) -> Self:
-        """Return this board with its envelope at a rate [Hz]; only for boards that set `modulates`. Raises DeviceError
-        for a rate that the board cannot play.
-        """
+        """Return this board with its envelope at a rate [Hz]; only for boards with `modulates`.
+
+        Raises DeviceError for a rate that the board cannot play."""
         raise DeviceError(
             f"board '{self.name}' cannot make an envelope of {frequency_Hz:g} Hz; allowed: a board that modulates"
         )
@@ -258,7 +254,7 @@ class Board:
         raise DeviceError(f"board '{self.name}' takes {self._input()}, not amplitudes; use another board")
 
     def encode_focus(self, focus: ArrayLike, level: float) -> bytes:
-        """Return the bytes of one frame of a board that takes a focus.
+        """Return the bytes of one frame of a board whose frames contain a focus.
 
         focus: focus in the array frame [m], shape (3,); level: amplitude of all transducers, 0..1
         Raises DeviceError for a focus or level that the board cannot play.
@@ -266,11 +262,11 @@ class Board:
         raise DeviceError(f"board '{self.name}' takes {self._input()}, not a focus; allowed: amplitudes")
 
     def twin(self) -> Twin:
-        """Return the simulated board, transducers in byte order. Raises DeviceError for a board without bytes."""
+        """Return the twin, with transducers in byte order. Raises DeviceError for a board without bytes."""
         raise DeviceError(f"board '{self.name}' takes {self._input()}, so it has no virtual twin; use another board")
 
     def wired_twin(self) -> Twin:
-        """Return a `twin` whose transducers are in the order of the layout, for any wiring."""
+        """Return the twin with transducers in the order of the layout, for any wiring."""
         return RewiredTwin(self.twin(), self.places) if self.places else self.twin()
 
     def decode(self, data: bytes) -> list[Complex]:
@@ -288,8 +284,8 @@ def play(board: Board, amplitudes: ArrayLike) -> Complex:
 
     amplitudes: complex amplitude of each transducer relative to full drive, e^{-iwt}, shape (n,), in the order of the
     layout
-    Returns the same shape: the amplitudes themselves if the board is exact, else those that its virtual twin decodes
-    from its bytes. Raises DeviceError for amplitudes that the board cannot play.
+    Returns amplitudes of the same shape: unchanged if the board is exact, else decoded by the virtual twin from the
+    bytes. Raises DeviceError for amplitudes that the board cannot play.
     """
     if board.line is None:
         return np.array(amplitudes, dtype=np.complex128)
@@ -303,7 +299,7 @@ FULL = 1.0 + 1e-6
 
 
 def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
-    """Return amplitudes in board byte order, shape (n,). Raises DeviceError for another shape, and above full drive."""
+    """Return amplitudes in the byte order of the board, (n,). Raises DeviceError for other shapes, above full drive."""
     values = np.asarray(amplitudes, dtype=np.complex128)
     if values.shape != (board.unit * board.units,):
         raise DeviceError(f"a frame of {board.name} has shape {values.shape}; give ({board.transducers},)")
@@ -322,10 +318,10 @@ def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
 
 
 def switched(board: Board, amplitudes: ArrayLike) -> tuple[Complex, np.ndarray]:
-    """Return amplitudes of a board with off and full only, and which transducers are on, shapes (n,).
+    """Return amplitudes of a board that plays only off and full, and which transducers are on, shapes (n,).
 
-    Raises DeviceError for an amplitude between off and full, unless the board dithers. Then the share of active
-    transducers is the amplitude, and the choice of transducers is fixed.
+    Raises DeviceError for an amplitude between off and full, unless the board dithers. With dither, the amplitude is
+    the share of active transducers, and the choice of transducers is fixed.
     """
     values = commanded(board, amplitudes)
     magnitude = np.abs(values)
@@ -343,7 +339,7 @@ def switched(board: Board, amplitudes: ArrayLike) -> tuple[Complex, np.ndarray]:
 
 
 def thresholds(count: int) -> Float:
-    """Amplitudes above which transducers are on, shape (count,): evenly spaced, neighbours far from one another."""
+    """Return the amplitude above which each transducer is on, (count,): evenly spaced, different for neighbours."""
     order = np.argsort(np.modf(GOLDEN * np.arange(count))[0], kind="stable")
     result = np.empty(count)
     result[order] = (np.arange(count) + 0.5) / count
@@ -351,7 +347,7 @@ def thresholds(count: int) -> Float:
 
 
 REFERENCE_SPEED_m_s = sound_speed(Air())
-"""Speed of sound in the reference air, used by boards that compute the focus themselves."""
+"""Speed of sound in the reference air [m/s], for boards that compute the focus themselves."""
 
 
 # -- limits of boards ------------------------------------------------------------------------------------------------
@@ -373,14 +369,13 @@ def check(
     instead: Callable[[], Sequence[str]] = lambda: ("ideal",),
     plainly: str = "modulation none or a rectangle of am_depth 1",
 ) -> None:
-    """Refuse a stimulus that the board cannot play.
+    """Raise DeviceError, with the needs of the scene and the limits of the board, for a stimulus it cannot play.
 
-    frame_rate_Hz: drive frames a second that the stimulus needs, 0 if it is fixed
+    frame_rate_Hz: frames per second that the stimulus needs, 0 if it is fixed
     points_per_turn: points on each turn of a closed path at that rate, None without a path
-    modulated: whether the amplitude takes values between 0 and full; modulation_Hz: its rate, 0 if unknown
-    element: name of the stimulus in the scene, for the message; instead: returns alternative boards, for the message
-    plainly: how to request a modulation that an on-off amplitude can play, for the message
-    Raises DeviceError with the needs of the scene and the limits of the board.
+    modulated: whether amplitudes between 0 and full occur; modulation_Hz: rate of the modulation, 0 if unknown
+    For the message: element: name of the stimulus in the scene; instead: returns alternative boards; plainly: how to
+    request a modulation that an on-off amplitude can play
     """
     rate = max(frame_rate_Hz, 2.0 * modulation_Hz)
     needs_amplitude = modulated and not board.levels
@@ -410,7 +405,7 @@ def check(
 
 
 def control_rate_Hz(board: Board, timestep_s: float) -> float:
-    """Return the highest frame rate at which each frame begins with a MuJoCo step or a part of one [1/s]."""
+    """Return the highest frame rate [1/s] at which each frame begins with a MuJoCo step or an equal part of a step."""
     if board.exact:
         return 0.0
     period_s = 1.0 / board.max_frame_rate_Hz

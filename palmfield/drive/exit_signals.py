@@ -1,4 +1,4 @@
-"""Signals that would end a process without running `finally`, so that a board would continue to sound."""
+"""Handlers of signals that would end a process without running `finally`, so that a board would continue to sound."""
 
 import contextlib
 import signal
@@ -10,7 +10,7 @@ Handler = Callable[[int, FrameType | None], None]
 
 
 def leave(number: int, _frame: FrameType | None) -> None:
-    """Signal handler: end the process as an exception would, so that `finally` runs."""
+    """Signal handler: end the process by an exception, so that `finally` runs."""
     raise SystemExit(128 + number)
 
 

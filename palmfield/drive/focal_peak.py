@@ -3,12 +3,12 @@
 from collections.abc import Callable
 
 import numpy as np
-import scipy  # loads its parts at first use
+import scipy  # loads its submodules at first use
 
 from palmfield.types import Complex, Float
 
 ALONG = np.linspace(0.55, 1.05, 101)
-"""First search points, as shares of the distance from the middle of the array to the focus."""
+"""Initial search points, as shares of the distance from the middle of the array to the focus."""
 CLOSE_M = 1e-5
 
 

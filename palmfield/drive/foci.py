@@ -1,8 +1,8 @@
 """Drives for several simultaneous foci, each with a target loudness relative to the others.
 
-A drive makes the pressures p = H a at the foci, H the transfer matrix. All methods search phases of p that the array
-can serve together; they differ in how, and in whether the transducers may be driven below full. The result is
-determined up to a phase common to all transducers: `in_gauge` fixes it, so that the drive moves with the foci.
+A drive a makes the pressures p = H a at the foci, with transfer matrix H. All methods search phases of p for which the
+array produces all foci well. They differ in the search, and in whether transducers may be driven below full. The result
+is determined up to a common phase of all transducers; `in_gauge` fixes it, so that the drive moves with the foci.
 """
 
 import dataclasses
@@ -11,7 +11,7 @@ from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
-import scipy  # loads its parts at first use
+import scipy  # loads its submodules at first use
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp, softmax
 
@@ -24,37 +24,37 @@ from palmfield.types import Air, Array, Complex, Float
 
 Method = Literal["naive", "gs", "gsw", "lbfgs", "tikhonov"]
 ITERATIONS: dict[Method, int] = {"naive": 0, "gs": 2, "gsw": 80, "lbfgs": 300, "tikhonov": 0}
-"""Default limit of iterations of each method; the first and last are direct."""
+"""Default limit of iterations of each method; the first and last method are direct."""
 
 MOST_ITERATIONS = 100_000
 COINCIDENT_WAVELENGTHS = 0.01
-"""Foci closer to each other than this cannot be separated: their rows of the transfer matrix are parallel."""
+"""Distance of foci below which they cannot be separated, because their rows of the transfer matrix are parallel."""
 
 REGULARISATION = 0.01
 """Tikhonov parameter of method "tikhonov", relative to the mean squared row norm of the transfer matrix."""
 
 FAINT = 0.01
-"""A focus with less pressure than this, relative to the loudest focus, does not set the common phase of a drive."""
+"""Pressure of a focus, relative to the loudest focus, below which it does not set the common phase of a drive."""
 
 RELAXATION = 0.4
 """Power of the correction of the weights in "gsw".
 
-At 1, as published, half of all pairs of foci before 256 transducers oscillated for ever between one and the other being
-louder; at 0.6 it was one in fifty, at 0.4 none of 400. More foci converge at any of these values, at 1 slightly sooner.
+At 1, as published, the louder focus alternated for ever for half of all pairs of foci of 256 transducers; at 0.6 for
+one pair in fifty, at 0.4 for none of 400. More than two foci converge at all these values, slightly faster at 1.
 """
 
 FREE = 2
-"""Iterations of "gsw" that may change the phases of the foci; the rest adjust only their weights. "gs" ends there.
+"""Number of iterations of "gsw" that may change the phases of foci; the rest change only weights. "gs" ends then.
 
-With all free, poses on either side of a separatrix end at different optima. Of 5,712 steps of 20 um of 2 to 5 foci "gs"
-with 50 turned the drive by more than 0.15 of itself in 52 (by 1.5 at most), with 2 in 22 (0.28), for at most 0.6 % of
-mean pressure on average (7 % of the quietest of 16 foci). "gsw": 0 of the half by which this was chosen (45 before), 14
-of the other half (0.27), where its first phases alone have 12 (0.2); "naive" and "tikhonov" 0 of 4,284;
-"lbfgs" 14 of 720 (0.58). Two of 256 transducers that turn by pi make 0.18.
+If all iterations change phases, close poses may end at different optima, and the drive jumps. Jumps (relative changes
+above 0.15) in 5,712 steps of 20 um of 2 to 5 foci: "gs" 52 with 50 iterations (largest 1.5), 22 with 2 iterations
+(0.28), at a cost of up to 0.6 % of the mean pressure (7 % of the quietest of 16 foci). "gsw": 0 in the half of the
+steps used for this choice (before: 45), 14 in the other half (0.27); its initial phases without iterations: 12 (0.2).
+"naive", "tikhonov": 0 of 4,284. "lbfgs": 14 of 720 (0.58). Two of 256 transducers that change by pi give 0.18.
 """
 
 SHARPNESS = (10.0, 40.0, 160.0, 640.0)
-"""Sharpness of the soft minimum that "lbfgs" raises, by stage; at the last it is the minimum within ln(m)/640."""
+"""Sharpness of the soft minimum that "lbfgs" maximises, by stage; the last differs from the minimum by ln(m)/640."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Foci:
     pressure: complex peak pressure at the foci [Pa], shape (m,)
     targets: target |pressure|, relative, shape (m,)
     bound_Pa: |pressure| of a single focus at each place, an upper bound at |a| <= 1, shape (m,)
-    iterations: their number
+    iterations: number of iterations
     residual: `misfit` before the first and after each iteration, shape (iterations + 1,); the last is that of `drive`
     """
 
@@ -83,18 +83,18 @@ class Foci:
 
     @property
     def uniformity(self) -> float:
-        """Smallest over largest |p|/target: 1 if every focus has its relative target loudness."""
+        """Smallest over largest |p|/target; it is 1 if every focus has its relative target loudness."""
         ratio = self.magnitude_Pa / self.targets
         return float(ratio.min() / ratio.max())
 
     @property
     def level(self) -> float:
-        """Mean of |p| over that of a single focus: at most about 1/sqrt(m) for m equal foci that do not overlap."""
+        """Mean of |p| over that of a single focus; at most about 1/sqrt(m) for m equal foci that do not overlap."""
         return float(np.mean(self.magnitude_Pa / self.bound_Pa))
 
     @property
     def power(self) -> float:
-        """Mean |a|^2 over the transducers: 1 if all are driven fully."""
+        """Mean |a|^2 over the transducers; 1 if all are driven fully."""
         return float(np.mean(np.abs(self.drive) ** 2))
 
 
@@ -102,7 +102,7 @@ def transfer64(points: ArrayLike, array: Array, air: Air) -> Complex:
     """Return the complex peak pressure [Pa] at each point from each transducer alone at full drive, in float64.
 
     transfer64(points, array, air) @ drive is pressure64(points, array, drive, air) to rounding. The formula is the
-    same, with gain and directivity of the array and absorption of the air, but not summed.
+    same, with gain and directivity of the array and absorption of the air, but without the sum.
 
     points: [m], array frame, shape (m, 3)
     Returns shape (m, n), complex128, n transducers.
@@ -128,12 +128,12 @@ def solve_foci(
     iterations: int | None = None,
     seed: int = 0,
 ) -> Foci:
-    """Solve a drive for several foci in front of an array. Dead and inverted transducers (array.gain) are allowed for.
+    """Return a drive for several foci in front of an array. Dead and inverted transducers (array.gain) are included.
 
     points: the foci [m], array frame, shape (m, 3)
-    amplitudes: target |p| of each relative to the others, shape (m,), positive; None is equal
+    amplitudes: relative target |p| of each focus, shape (m,), positive; None: equal
     method: see `solve_transfer`
-    iterations: their largest number; None is ITERATIONS[method]
+    iterations: largest number of iterations; None: ITERATIONS[method]
     seed: seed of the random phases of "naive"
     Raises PalmfieldError for points that are not finite or not (m, 3), SceneError for foci behind a transducer,
     coincident foci, more foci than live transducers, bad amplitudes, method or iterations.
@@ -164,14 +164,14 @@ def solve_transfer(
     iterations: int | None = None,
     seed: int = 0,
 ) -> Foci:
-    """Solve a drive as `solve_foci` does, for a given transfer matrix (also one computed in float32).
+    """Return the same as `solve_foci` for a given transfer matrix, in float64 or float32.
 
     method:
-        "naive": the sum of the single foci under random phases, its amplitude set to 1 (Di Leonardo's "SR") "gs":
-            Gerchberg-Saxon between the foci's magnitudes and the drive's (Di Leonardo et al. 2007); more iterations
-            than FREE are slightly louder, but drives of moving foci may jump
-        "gsw": the same with weights that give the foci their target loudness (the same paper), phases fixed after FREE
-        "lbfgs": phases that raise the quietest focus, by L-BFGS on a soft minimum with its exact gradient;
+        "naive": the sum of the single foci with random phases, its amplitude set to 1 ("SR" of Di Leonardo)
+        "gs": Gerchberg-Saxon between the magnitudes of foci and drive (Di Leonardo et al. 2007); more iterations than
+            FREE give slightly more pressure, but drives of moving foci may jump
+        "gsw": the same with weights for the target loudness of the foci (the same paper), phases fixed after FREE
+        "lbfgs": phases that maximise the quietest focus, by L-BFGS on a soft minimum with its exact gradient;
             not for moving foci: one in fifty steps of 20 um made the drive jump
         "tikhonov": amplitudes and phases, by regularised least squares (after Long et al. 2014), scaled to max |a| = 1
     The first four drive every live transducer fully. All but the first begin with the phases of `reinforcing_phases`.
@@ -227,11 +227,11 @@ def together(transfer: Complex, pressures: Float | None = None) -> Complex:
 
 
 def in_gauge(matrix: Complex, drive: Complex) -> Complex:
-    """Rotate a drive, shape (n,), so that its pressure at the first focus is real and positive, as for a single focus.
+    """Return a drive, (n,), with the common phase for which the pressure at the first focus is real and positive.
 
     If the first focus is FAINT, the first focus that is not FAINT replaces it. Magnitudes do not depend on this phase.
-    But transducers that ring need a phase that depends only on the present foci, and the phase of an eigenvector
-    depends on rounding.
+    But with ring-up the phase must depend only on the present foci, and the phase of an eigenvector depends on
+    rounding.
     matrix: complex pressure at the foci from each transducer at full drive [Pa], shape (m, n)
     """
     pressure = matrix @ drive
@@ -251,7 +251,7 @@ def _targets(amplitudes: ArrayLike | None, count: int) -> Float:
 
 
 def misfit(pressure: Complex, targets: Float) -> float:
-    """Return the rms over the foci of |p|/target about its mean, relative to that mean."""
+    """Return the standard deviation of |p|/target over the foci, relative to the mean."""
     ratio = np.abs(pressure) / targets
     mean = np.add.reduce(ratio) / len(ratio)
     deviation = ratio - mean
@@ -264,18 +264,18 @@ def unit(values: Complex) -> Complex:
 
 
 def reinforcing_phases(matrix: Complex, targets: Float) -> Complex:
-    """Return the phase factors of the foci under which single foci help each other most, shape (m,) (Long et al. 2014).
+    """Return the phase factors for which single foci add most to each other, shape (m,) (Long et al. 2014).
 
-    Row i, column k of G W is the pressure at focus i of a single focus at k whose pressure there is target k, with
-    G = H H* and W = diag(target_k/G_kk); its dominant eigenvector is found from the Hermitian form of the same problem.
-    From here "gsw" ends about as loud as from the best of ten random starts (docs/bench/foci.md).
+    G = H H* and W = diag(target_k/G_kk). Row i, column k of G W is the pressure at focus i of a single focus at k with
+    target k. The dominant eigenvector comes from the Hermitian form of this problem. From these phases, "gsw" ends
+    about as loud as from the best of ten random starts (docs/bench/foci.md).
     """
     leading = leading_vector(matrix, targets)
     return np.exp(1j * np.arctan2(leading.imag, leading.real))
 
 
 def leading_vector(matrix: Complex, targets: Float) -> Complex:
-    """Return the eigenvector of `reinforcing_phases`, shape (m,), of norm 1: it jumps where two eigenvalues cross."""
+    """Return the eigenvector of `reinforcing_phases`, shape (m,), of norm 1; it jumps where two eigenvalues cross."""
     half = np.sqrt(targets / np.add.reduce(np.abs(matrix) ** 2, axis=1))
     scaled = matrix * half[:, None]
     leading: Complex = np.linalg.eigh(scaled @ scaled.conj().T)[1][:, -1]
@@ -301,7 +301,7 @@ def _gerchberg_saxon(
     pressure = matrix @ drive
     residual = [misfit(pressure, targets)]
     number = len(targets)
-    # `unit` and `misfit` inlined: a scene with moving foci solves this in each of its steps
+    # `unit` and `misfit` are inlined: a scene with moving foci needs this in every step
     ratio = np.abs(pressure) / targets
     turned = pressure
     for iteration in range(count):
@@ -323,7 +323,7 @@ def _gerchberg_saxon(
 def soft_minimum(phases: Float, matrix: Complex, sharpness: float) -> tuple[float, Float]:
     """Return minus the soft minimum of |H exp(i phases)| over the foci, and its gradient by the phases, shape (n,).
 
-    softmin(q) = -logsumexp(-s q)/s, with s the sharpness. matrix: rows already divided by their reference.
+    softmin(q) = -logsumexp(-s q)/s, with sharpness s. matrix: rows divided by their reference
     """
     waves = matrix * np.exp(1j * phases)
     pressure = waves.sum(axis=1)
@@ -342,7 +342,7 @@ def lbfgs(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple
     def note(angles: Float) -> None:
         residual.append(misfit(matrix @ np.exp(1j * angles), targets))
 
-    with one_blas_thread:  # threads of the BLAS made these small products 40 times slower
+    with one_blas_thread:  # several BLAS threads made these small products 40 times slower
         for stage, sharpness in enumerate(SHARPNESS):
             evaluations = (count - (len(residual) - 1)) // (len(SHARPNESS) - stage)
             if evaluations > 0:

@@ -1,4 +1,4 @@
-"""Find the focus of given amplitudes: the point that fits their phases best."""
+"""Find the focus of given amplitudes: the point whose phases fit best."""
 
 from functools import lru_cache
 from typing import Any
@@ -13,7 +13,7 @@ NEAREST_M = 0.04
 COARSE, FINER = (25, 25, 24), (9, 9, 9)
 FINE_M = 4e-3
 MOST_ROUGH, FEWEST_ROUGH = 256, 32
-"""Largest and least number of transducers whose phases are used until the place is found to millimetres."""
+"""Largest and least number of transducers in the coarse search, which finds the place to millimetres."""
 ROUNDS = 30
 CLOSE_M = 1e-8
 
@@ -23,10 +23,10 @@ def fitted_focus(
 ) -> tuple[Float, float]:
     """Return the focus [m], shape (3,), whose phases -k d fit best by least squares, and the rms residual [rad].
 
-    positions: positions of the transducers [m], shape (n, 3), with the sound on the side of positive z; amplitudes:
-    shape (n,), e^{-iwt}; those that are off do not count; near: start point, None to search everywhere within 0.6 m
-    anywhere: whether to search everywhere too if none fits nearby, which takes some 20 ms
-    NaN if fewer than four transducers sound.
+    positions: of the transducers [m], shape (n, 3), with the sound on the side of positive z
+    amplitudes: shape (n,), e^{-iwt}; amplitudes of 0 do not count; near: start point, None: search within 0.6 m
+    anywhere: whether to search everywhere if no point nearby fits, which takes about 20 ms
+    Returns NaN if fewer than four transducers sound.
     """
     on = np.abs(amplitudes) > 1e-9
     if on.sum() < 4:
@@ -45,7 +45,7 @@ def fitted_focus(
 
 
 def _coarse(places: Float, amplitudes: Complex, wavenumber: float) -> Float:
-    """Return the point of a grid, then of finer ones, with the largest coherent sum of all transducers."""
+    """Return the point of a grid, then of finer grids, with the largest coherent sum of all transducers."""
     sounding = np.flatnonzero(amplitudes)
     # The grid of a constant input is cached
     some = _spread(np.arange(len(places)))
@@ -63,12 +63,12 @@ def _coarse(places: Float, amplitudes: Complex, wavenumber: float) -> Float:
 
 
 def _spread(numbers: NDArray[np.signedinteger[Any]]) -> NDArray[np.signedinteger[Any]]:
-    """Select at most MOST_ROUGH of some numbers, evenly."""
+    """Return at most MOST_ROUGH of some numbers, evenly spaced."""
     return numbers[np.unique(np.linspace(0, len(numbers) - 1, min(len(numbers), MOST_ROUGH)).astype(int))]
 
 
 def _region(places: Float) -> tuple[Float, Float]:
-    """Return corners of the search box for a focus [m]."""
+    """Return the corners of the search box for a focus [m]."""
     low, high = places.min(axis=0) - 0.05, places.max(axis=0) + 0.05
     low[2], high[2] = places[:, 2].max() + NEAREST_M, places[:, 2].max() + REACH_M
     return low, high
@@ -81,9 +81,7 @@ def _grid(low: Float, high: Float, counts: tuple[int, int, int]) -> Float:
 
 @lru_cache(maxsize=2)
 def _steering(places: bytes, wavenumber: float) -> tuple[Float, NDArray[np.complex64]]:
-    """Return the first grid, shape (n, 3), and the phase of the sound of each transducer on its way there, shape (n,
-    m).
-    """
+    """Return the first grid, (n, 3), and the phase factor of the sound from each transducer to its points, (n, m)."""
     whence = np.frombuffer(places).reshape(-1, 3)
     points = _grid(*_region(whence), COARSE)
     turns = np.empty((len(points), len(whence)), np.complex64)
@@ -94,7 +92,7 @@ def _steering(places: bytes, wavenumber: float) -> tuple[Float, NDArray[np.compl
 
 
 def _refined(places: Float, phases: Float, wavenumber: float, start: Float) -> tuple[Float, float]:
-    """Refine a point within about half a wavelength by Gauss-Newton steps."""
+    """Return a point refined by Gauss-Newton steps from a start within half a wavelength, and rms residual [rad]."""
     point = np.array(start, float)
     rest = np.zeros(len(places))
     for _ in range(ROUNDS):

@@ -2,12 +2,12 @@
 
 The first line is a JSON object: `palmfield_log` (1, the version), `board`, `keys` (of palmfield.driver), `transducers`,
 `array`, `layout_version` (name and version of the layout), `air` (temperature_C, humidity_percent, pressure_Pa),
-`limits` (keys of palmfield.driver about level and duration of sound), `p0_Pa_m` and `p0_high_Pa_m` (of the first array,
-with the upper end of its range). If the first array differs from its layout: `positions_m`, places of its transducers,
-`turns_rad`, the phase that each adds to its command, and `address`, the places of all transducers in the byte order of
-the board. Null means the value of the layout. Each further line is a JSON object of one piece of bytes: `t`, when its
-first byte was given to the port [s, since the link was opened], `hex`, the bytes, and `cut` if, after a write timeout,
-the number of sent bytes is unknown.
+`limits` (keys of palmfield.driver about level and duration of sound), `p0_Pa_m` and `p0_high_Pa_m` (p0 of the first
+array, and upper end of its range). If the first array differs from its layout, there are also `positions_m` (places of
+its transducers), `turns_rad` (phase that each transducer adds to its command), and `address` (places of all transducers
+in the byte order of the board). Null means the value of the layout. Each further line is a JSON object of one piece of
+bytes: `t`, time at which the port received its first byte [s, since the link was opened], `hex`, the bytes, and `cut`
+if, after a write timeout, the number of sent bytes is unknown.
 """
 
 import json
@@ -32,15 +32,14 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class LogHead:
-    """Description of the board of a log.
+    """Description of the board of a log; None means the value of the layout.
 
-    keys: keys of palmfield.driver besides `board`; array: name of the layout, csv for places from a file; limits:
-    SAFETY_KEYS of palmfield.driver that are set; p0_Pa_m, p0_high_Pa_m: p0 of the transducers of the array, and the
-    upper end of its range, None for the layout's
-    Of the first array, None for the layout's: turns_rad, phases that transducers add to their command (polarity,
-    delays) [rad], shape (n,); positions_m, in the array frame, shape (n, 3)
-    address: address of all transducers, their places in the byte order of the board; None for the order of the layout
-    """
+    keys: keys of palmfield.driver, without `board`; array: name of the layout, csv for places from a file
+    limits: SAFETY_KEYS of palmfield.driver that are set
+    p0_Pa_m, p0_high_Pa_m: p0 of the transducers of the first array, and upper end of its range
+    turns_rad: phases that its transducers add to their command (polarity, delays) [rad], shape (n,)
+    positions_m: positions of its transducers, array frame, shape (n, 3)
+    address: place of each transducer of all arrays in the byte order of the board"""
 
     board: str
     transducers: int
@@ -65,7 +64,7 @@ class LogHead:
 
     @property
     def _layout(self) -> Array | None:
-        """The array of the layout, None if places come from a file."""
+        """Array of the layout; None if places come from a file."""
         return None if self.array == "csv" else layout(self.array)
 
     @property
@@ -96,13 +95,13 @@ class LogHead:
 
     @property
     def playable(self) -> Board:
-        """The board itself. Raises DeviceError for an unknown one."""
+        """Board of this log. Raises DeviceError for an unknown board."""
         driver = DriverConfig.model_validate({"board": self.board, **self.keys})
         return board_of(driver, self.transducers, address=self._address if self.address is None else self.address)
 
 
 class Piece(NamedTuple):
-    """Bytes sent together. time_s: time at which the port received the first byte; whole: False if unknown"""
+    """Bytes sent together. time_s: when the port received the first byte [s]; whole: False if some may be missing"""
 
     time_s: float
     data: bytes
@@ -110,7 +109,7 @@ class Piece(NamedTuple):
 
 
 class FrameLog:
-    """Writes a log line by line."""
+    """Writer of a log, line by line."""
 
     def __init__(self, path: str | Path, head: LogHead) -> None:
         """Raises OutputError if the file cannot be made."""
@@ -137,7 +136,7 @@ class FrameLog:
 def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
     """Read a log; its last line may be incomplete, as it is during writing.
 
-    Raises SceneError for a file that cannot be read, or is no log of this version.
+    Raises SceneError for a file that cannot be read, or is not a log of this version.
     """
     file = Path(path)
     with reading(file, SceneError, "a file of --log, or --board for raw bytes"):

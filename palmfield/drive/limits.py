@@ -12,9 +12,8 @@ from palmfield.errors import DeviceError
 
 @dataclass(frozen=True)
 class SoundLimits:
-    """Limits of a play. ramp_s: time in which sound rises and falls, 0 for none; on_time_s: longest duration of sound,
-    None for any
-    duty: largest share of sound in any interval of WINDOW_S
+    """Limits of a play. ramp_s: time in which sound rises and falls, 0: no ramp; on_time_s: longest duration of sound,
+    None: no limit; duty: largest share of time with sound in any interval of WINDOW_S
     """
 
     ramp_s: float = 0.0
@@ -37,7 +36,7 @@ class SoundLimits:
         return self.level_at(time_s, duration_s) if board.levels and not board.exact else 1.0
 
     def ramp_times(self, board: Board, duration_s: float) -> list[float]:
-        """Return additional due times of frames, so that the ramps have as many steps as the board can take."""
+        """Return additional due times of frames, so that the ramps have as many steps as the board can play."""
         if self.ramp_s <= 0.0 or not board.levels:
             return []
         ramp_s = min(self.ramp_s, 0.5 * duration_s)
@@ -46,7 +45,7 @@ class SoundLimits:
         return rise + [duration_s - time_s for time_s in rise if time_s > 0.0]
 
     def in_words(self, board: Board) -> str:
-        """Describe how the board plays the ramp; empty without one."""
+        """Return a description of the ramp as the board plays it; empty without a ramp."""
         if self.ramp_s <= 0.0:
             return ""
         if not board.levels:
@@ -60,7 +59,7 @@ class SoundLimits:
     def check(self, times_s: Sequence[float], sounds: Sequence[bool], duration_s: float) -> tuple[float, float]:
         """Return the duration of sound in frames [s], and its largest share of any WINDOW_S.
 
-        Raises DeviceError if that exceeds the limits.
+        Raises DeviceError if they exceed the limits.
         """
         ends = [*times_s[1:], max(duration_s, times_s[-1])] if times_s else []
         stretches = [(a, b) for a, b, on in zip(times_s, ends, sounds, strict=True) if on and b > a]
@@ -80,12 +79,12 @@ class SoundLimits:
 
 
 def _duty(stretches: Sequence[tuple[float, float]], duration_s: float) -> float:
-    """Return the largest share of a window of WINDOW_S, or of a shorter total, that stretches cover."""
+    """Return the largest share of any window of WINDOW_S, or of a shorter total, that the intervals cover."""
     window = min(WINDOW_S, duration_s)
     if not stretches or window <= 0.0:
         return 0.0
     most, first, whole = 0.0, 0, 0.0
-    # The window with most sound begins with a sounding interval or ends with one; the latter is found backwards
+    # The window with most sound begins or ends with a sounding interval; the latter are searched backwards
     for last, (_, end) in enumerate(stretches):
         whole += stretches[last][1] - stretches[last][0]
         while stretches[first][1] <= end - window:

@@ -1,4 +1,4 @@
-"""Receive foci from another program over a socket, one line of JSON each, while they are played."""
+"""Receive foci from another program over a socket during a play, one line of JSON each."""
 
 import json
 import math
@@ -16,7 +16,7 @@ UNIT = 0.01
 
 
 class LiveFocus(NamedTuple):
-    """A focus. place: array frame [m], shape (3,); level: level of its sound, 0..1"""
+    """A focus. place: array frame [m], shape (3,); level: level of the sound, 0..1"""
 
     place: Float
     level: float
@@ -33,10 +33,10 @@ class ReceivedFocus(NamedTuple):
 def read_focus(line: bytes, offset: Float) -> LiveFocus:
     """Read the focus from a line of JSON with one object.
 
-    focus_m: three numbers, in the frame of the array or, with position_m and quaternion (w first), in the moving frame
-    that they define in the frame of the array. level: 0 to 1, by default 1.
-    offset: focus_m for a position without one [m], shape (3,)
-    Raises BadLine for anything else.
+    Entries of the object: focus_m: three numbers, in the frame of the array or, with position_m and quaternion (w
+    first), in the moving frame that these define in the frame of the array; level: 0 to 1, default 1.
+    offset: focus_m for an object without it [m], shape (3,)
+    Raises BadLine for other content.
     """
     fields = read_object(line)
     stray = sorted(set(fields) - set(KEYS))
@@ -71,23 +71,23 @@ def _numbers(fields: dict[str, Any], key: str, count: int) -> Float:
 
 
 class FocusListener(LineListener):
-    """Reads foci from a socket and keeps the newest. A context manager."""
+    """Reads foci from a socket and stores the newest. Use as a context manager."""
 
     def __init__(self, offset: Float, host: str = "127.0.0.1", port: int = 0, by: By = "udp") -> None:
-        """offset: as in `read_focus`; port: 0 for any free one. Raises DeviceError for a foreign address"""
+        """offset: as in `read_focus`; port: 0 for any free port. Raises DeviceError for a foreign address."""
         self._offset = offset
         self._newest: ReceivedFocus | None = None
         super().__init__(host, port, by)
 
     def next(self, after: int, timeout_s: float) -> ReceivedFocus | None:
-        """Return the newest focus if its number differs from this one; waits for it at most this time [s], else None.
+        """Return the newest focus if its number is not `after`; wait for it at most timeout_s [s], else return None.
 
-        Raises DeviceError if none can arrive any more.
+        Raises DeviceError if no focus can arrive any more.
         """
         return self._newest if self.wait(after, timeout_s) else None
 
     def report(self) -> str:
-        """Return the numbers of used and skipped lines, in words."""
+        """Return the number of used and skipped lines, in words."""
         return f"{self.received} foci received, {sum(self.bad.values())} lines skipped{self.skipped()}"
 
     def read_line(self, line: bytes, came_s: float) -> None:

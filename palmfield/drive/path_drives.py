@@ -1,6 +1,6 @@
 """Emission of the transducers of one stimulus with a moving focus, on a device, as launches for a captured graph.
 
-`palmfield.drive.transducer_response` computes drives with NumPy; here a few numbers for each moment are the input, and
+`palmfield.drive.transducer_response` computes drives with NumPy. Here the input is a few numbers for each moment, and
 kernels write the drives to the input of the sound field.
 """
 
@@ -25,7 +25,7 @@ from warp_kernels import path_drives as kernels
 class PathMemory(NamedTuple):
     """Input and output arrays of the kernels for a step of w worlds on a device.
 
-    counts: foci and groups, int32, shape (w, 2); group: group of each transducer, int32, shape (w, n)
+    counts: numbers of foci and groups, int32, shape (w, 2); group: group of each transducer, int32, shape (w, n)
     foci: [m], vec3d, shape (w, f); targets: target levels, float64, shape (w, f + 1)
     aims: targets at the focus, vec2d, shape (w,), see `PathDrives.aim`
     ring: weights of the pole for each moment, vec2d, shape (m, 5); pushes: row of `force` for each moment, -1 for none,
@@ -69,9 +69,9 @@ class PathMemory(NamedTuple):
 
 
 class PathDrives:
-    """The transducers of one stimulus that drives all of them, on a device.
+    """Transducers on a device, all driven by one stimulus.
 
-    drive: drive with the present places of the arrays; transducers: the same ones as in the sound field
+    drive: drive with the present places of the arrays; transducers: transducers of the sound field
     pole: response of all transducers, None without ring-up; rings: whether there is ring-up
     aim: result of `aim_of`
     """
@@ -136,9 +136,7 @@ class PathDrives:
         ]
 
     def pushed(self, weights: Float) -> Float:
-        """Return the weights of the rows of `PathMemory.force` in the mean ARP; weights: weights of the moments, shape
-        (m,).
-        """
+        """Return the weights of the rows of `PathMemory.force` in the mean ARP; weights: of the moments, shape (m,)."""
         return weights[weights > 0.0] if self.rings else np.ones(1)
 
     def ring(self, moments: Moments) -> Complex:
@@ -163,10 +161,9 @@ class PathDrives:
 def foci_made(totals: Float, levels: Float, quiet: Any, target: Any) -> NDArray[np.bool_]:
     """Return for each world whether the transducers can produce all active foci, shape (w,).
 
-    totals: totals of PathMemory, as numbers, shape (w, f, 3), the focus at the beginning of the step last; levels:
-    levels of the pressure at the others, (w, f - 1); quiet: whether the last one is silent, (w,); target: the first of
-    `aim_of`, (w,)
-    """
+    totals: as in PathMemory, as numbers, shape (w, f, 3); the last focus is that at the beginning of the step
+    levels: levels of the pressure at the other foci, (w, f - 1); quiet: whether the last focus is silent, (w,)
+    target: first result of `aim_of`, (w,)"""
     real, imaginary, facing = totals.transpose(2, 0, 1)
     good = (facing > 0.0) & (real * real + imaginary * imaginary >= np.asarray(target)[:, None])
     good[:, :-1] |= levels == 0.0
@@ -175,21 +172,21 @@ def foci_made(totals: Float, levels: Float, quiet: Any, target: Any) -> NDArray[
 
 
 def push_rows(weights: Float) -> Int:
-    """Return the row of each moment among those with these weights that push bodies, shape (m,); -1 without."""
+    """Return the row of each moment among the moments with weights that are not 0, shape (m,); -1 for other moments."""
     counted = weights > 0.0
     return np.where(counted, np.add.accumulate(counted, dtype=np.int32) - 1, -1).astype(np.int32)
 
 
 def aim_of(drive: ArrayDrive) -> tuple[float, float]:
-    """Return target ARP at the focus times rho c^2 [Pa^2] (0 if the amplitude is given), and drive amplitude."""
+    """Return target ARP at the focus times rho c^2 [Pa^2] (0 if the amplitude is given), and the drive amplitude."""
     return 0.0 if drive.arp_peak_Pa is None else drive.arp_peak_Pa * drive.array.impedance, drive.amplitude
 
 
 KEPT = 64
-"""Number of cached weights for different sequences of the moments of a step."""
+"""Number of cached weights, for different sequences of the moments of a step."""
 
 
 def _pairs(values: Any, device: str) -> Any:
-    """Return the complex numbers as vec2d."""
+    """Return complex numbers as a vec2d array."""
     pairs = np.ascontiguousarray(values, np.complex128).view(np.float64).reshape(-1, 2)
     return wp.array(pairs, dtype=wp.vec2d, device=device)

@@ -13,14 +13,14 @@ REFRESH_S = 0.1
 """A constant frame is repeated at this interval [s], so that a byte lost on the line has no lasting effect."""
 MOST_FRAMES = 100_000_000
 ON_STEP = 1e-6
-"""A moment closer than this share of a step to the beginning of a step counts as the beginning."""
+"""Distance of a moment from the beginning of a step, in steps, below which it counts as the beginning."""
 
 
 class TimedFrame(NamedTuple):
     """One frame.
 
-    time_s: due time of its emission (last byte on the line), since the start [s]; data: its bytes
-    sounds: whether any transducer is on in it
+    time_s: due time of the emission (last byte on the line), since the start [s]; data: bytes
+    sounds: whether any transducer is on in this frame
     """
 
     time_s: float
@@ -35,9 +35,9 @@ def frame_times(
     besides: Sequence[float] = (),
     least_s: float = 0.0,
 ) -> list[float]:
-    """Return due times of frames [s]: at points of paths and control ticks, at jumps, and every REFRESH_S otherwise.
+    """Return due times of frames [s]: at points of paths, control ticks and jumps, and every REFRESH_S otherwise.
 
-    step_s: MuJoCo step [s], if a part moves: poses change at the start of a step, so less frequent frames are due there
+    step_s: MuJoCo step [s], if a part moves: poses change at the start of a step, so rarer frames are due then
     besides: further due times, which are omitted if another due time is within least_s [s]
     Raises SceneError for a duration or a step that is not finite and above 0, and for more than MOST_FRAMES.
     """
@@ -57,7 +57,7 @@ def frame_times(
 
 
 def filled(due: list[float], besides: Sequence[float], least_s: float, duration_s: float) -> list[float]:
-    """Add those of the further times that are at least this far from all others [s]."""
+    """Return due times with further times that are at least least_s [s] from all others."""
     result = list(due)
     for time_s in sorted(besides):
         at = bisect.bisect_left(result, time_s)

@@ -10,9 +10,9 @@ AUTD3 = "autd3:"
 
 
 def check_port(port: str) -> None:
-    """Refuse a device that does not exist, without opening it, which would reset some boards. Raises DeviceError.
+    """Raise DeviceError for a device that does not exist. It is not opened, because opening would reset some boards.
 
-    URLs, links to AUTD3 units and Windows' ports cannot be checked before they are opened.
+    URLs, links to AUTD3 units and ports of Windows cannot be checked without opening them.
     """
     if os.name == "posix" and re.fullmatch(r"COM\d+", port, re.IGNORECASE):
         raise DeviceError(
@@ -28,7 +28,7 @@ def open_port(port: str, baud: int | None) -> Transport:
 
     port: device (/dev/ttyUSB0, COM3), pyserial URL (loop://, socket://host:port), or a link to AUTD3 units (autd3:auto,
         `palmfield.drive.autd3_units.WAYS`); baud: None for a board without one
-    Raises DeviceError if it cannot be opened; the message names the available ports, or links.
+    Raises DeviceError, with the available ports or links, if the port cannot be opened.
     """
     if not port.startswith(AUTD3):
         return open_serial(port, baud)

@@ -1,7 +1,7 @@
-"""Pulses for target amplitudes: their widths in ticks and their phases.
+"""Pulses for target amplitudes: their widths in ticks and their phases (Hasegawa & Shinoda 2018, eq. 5 and 6).
 
-Hasegawa & Shinoda 2018, eq. 5 and 6. A device counts a carrier period in ticks: 640 of 25.6 MHz in that paper, 512 in
-AUTD3, of which half are used (duty 0 to 1/2).
+A device counts a carrier period in ticks: 640 ticks of 25.6 MHz in the paper, 512 in AUTD3. At most half of them are
+used (duty 0 to 1/2).
 """
 
 from typing import Literal
@@ -34,9 +34,9 @@ def widths(amplitude: ArrayLike, ticks: int, exponent: float = 2.0) -> Int:
 
 
 def edge_phase(duty: ArrayLike, fixed: Edge) -> Float:
-    """Return the phase of the first harmonic [rad] (later is positive) relative to a pulse about time 0.
+    """Return the phase of the first harmonic [rad] (later is positive) relative to a pulse centred at time 0.
 
     With the leading edge at time 0 the middle of the pulse is pi d later; with the trailing edge, pi d earlier.
-    So the phase of a drive with a fixed edge changes with its amplitude.
+    So with a fixed edge, the phase of a drive changes with its amplitude.
     """
     return 2.0 * np.pi * EDGE_TURNS[fixed] * np.asarray(duty, float)

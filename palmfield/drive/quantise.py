@@ -7,14 +7,14 @@ from palmfield.errors import DeviceError
 from palmfield.types import Complex, Float, Int
 
 FULL = 1.0 + 1e-9
-"""Largest |a| accepted: full drive and rounding."""
+"""Largest accepted |a|: full drive plus rounding."""
 
 
 def phase_codes(drive: ArrayLike, steps: int) -> Int:
     """Return the nearest of `steps` equal phase steps, round(steps arg(a)/2 pi) mod steps, shape of drive, int32.
 
-    Rounded, never floored: a focus gives phases such as -1e-17, which a floor would turn into steps - 1.
-    A larger code is a later wave (e^{-iwt}). Raises DeviceError for a drive that is not finite and for steps < 1.
+    Phases are rounded, not floored: a focus gives phases such as -1e-17, for which a floor gives steps - 1. A larger
+    code is a later wave (e^{-iwt}). Raises DeviceError for a drive that is not finite and for steps < 1.
     """
     amplitudes = _checked(drive)
     _at_least_one(steps, "phase_steps")
@@ -24,7 +24,7 @@ def phase_codes(drive: ArrayLike, steps: int) -> Int:
 def amplitude_codes(drive: ArrayLike, steps: int) -> Int:
     """Return the nearest of the levels 0, 1/steps, ..., 1 of |a|, as 0..steps, shape of drive, int32.
 
-    One step is off or full, 255 is 8 bits. Raises DeviceError for |a| > 1 or not finite, and for steps < 1.
+    1 step means off or full; 255 steps are 8 bits. Raises DeviceError for |a| > 1 or not finite, and for steps < 1.
     """
     amplitudes = _checked(drive)
     _at_least_one(steps, "amplitude_steps")
@@ -32,11 +32,11 @@ def amplitude_codes(drive: ArrayLike, steps: int) -> Int:
 
 
 def quantise(drive: ArrayLike, *, phase_steps: int | None = None, amplitude_steps: int | None = None) -> Complex:
-    """Round the phases and amplitudes of a drive to the nearest ones of a device.
+    """Return a drive with phases and amplitudes rounded to those of a device.
 
     drive: complex amplitudes, |a| <= 1, any shape
-    phase_steps: phases in a turn, 32 on a SonicSurface, 256 on AUTD3; None: phases are not rounded
-    amplitude_steps: levels above 0 (equal in amplitude, not in pulse width: see pulse_width); None: no rounding
+    phase_steps: phase steps in a turn, 32 on a SonicSurface, 256 on AUTD3; None: phases are not rounded
+    amplitude_steps: levels above 0, equal in amplitude (for pulse widths see pulse_width); None: no rounding
     Returns complex amplitudes, same shape. Raises DeviceError as the functions above.
     """
     amplitudes = _checked(drive)
@@ -51,7 +51,7 @@ def quantise(drive: ArrayLike, *, phase_steps: int | None = None, amplitude_step
 def phase_loss(steps: int) -> float:
     """Return the expected focal pressure with rounded phases over that without: sin(pi/N)/(pi/N) for N steps.
 
-    It is the mean of cos over an error distributed uniformly over +-pi/N, a good model for the phases of a focus. The
+    It is the mean of the cosine of an error that is uniform over +-pi/N, a good model for the phases of a focus. The
     rest of the sound is scattered. Raises DeviceError for steps < 1.
     """
     _at_least_one(steps, "phase_steps")

@@ -21,11 +21,11 @@ def record(
     duration_s: float = 0.0,
     log: FrameLog | None = None,
 ) -> PlayReport:
-    """Write the bytes for a board. Frames for which the line has no time are omitted, as in the player.
+    """Write the bytes for a board to a file. Frames for which the line has no time are omitted, as in the player.
 
-    frames: (time of emission since the start [s], bytes), times ascending; duration_s: time at which the last one ends
+    frames: (time of emission since the start [s], bytes), times ascending; duration_s: end of the last frame [s]
     log: receives each piece with its time on the line, and is closed at the end
-    Raises OutputError if the file cannot be made or the disk is full: then only its .part exists.
+    Raises OutputError if the file cannot be made or the disk is full. Then only its .part exists.
     """
     assert board.line is not None
     file = FileTransport(path)

@@ -1,11 +1,11 @@
 """Response of transducers to a changing drive: their resonance.
 
 A transducer near its resonance f0 of quality Q is one complex pole. Its oscillation x = Re(a e^{-iwt}), driven at the
-carrier w with the complex envelope u,
+carrier w with the complex envelope u, satisfies
 
-    x'' + (w0/Q) x' + w0^2 x = Re(-i (w0^2/Q) u e^{-iwt}),
+    x'' + (w0/Q) x' + w0^2 x = Re(-i (w0^2/Q) u e^{-iwt}).
 
-has an envelope that follows, up to terms of the order of 1/Q and of detuning over w0,
+Up to terms of the order of 1/Q and of detuning over w0, the equation of its envelope is
 
     da/dt = -(g - i D) a + g u,   g = pi f0/Q,   D = 2 pi (carrier - f0).
 """
@@ -60,9 +60,9 @@ class Pole:
 def envelope_response(frequency_Hz: ArrayLike, pole: Pole) -> Complex:
     """Return a/u for an envelope e^{-2 pi i f t}: g/(g - i(D + 2 pi f)), shape (..., n) for frequencies of shape (...).
 
-    Positive and negative f are the two sidebands; f = 0 is the steady state, 1 at resonance. p0 of an array applies to
-    transducers at resonance. If p0 was measured at the carrier with detuned transducers, divide drives by the response
-    at 0.
+    Positive and negative f are the two sidebands. f = 0 is the steady state; at resonance its response is 1. p0 of an
+    array applies to transducers at resonance. If p0 was measured at the carrier with detuned transducers, divide drives
+    by the response at 0.
     """
     turn = 2.0 * np.pi * np.asarray(frequency_Hz, float)[..., None]
     return np.asarray(pole.damping / (pole.rate - 1j * turn), np.complex128)
@@ -71,13 +71,13 @@ def envelope_response(frequency_Hz: ArrayLike, pole: Pole) -> Complex:
 def filter_frames(
     drives: ArrayLike, dt: float, pole: Pole, *, linear: bool = False, initial: ArrayLike | None = None
 ) -> Complex:
-    """Return the emission of the transducers at the frames' times, exact to rounding for any dt.
+    """Return the emission of the transducers at the times of frames, exact to rounding for any dt.
 
-    drives: complex amplitudes, shape (frames, n). Held: frame k holds from k dt to (k+1) dt. Linear: it is the value at
-        k dt, with straight lines between
+    drives: complex amplitudes, shape (frames, n). linear: False: frame k is constant from k dt to (k+1) dt; True: it is
+        the value at k dt, with straight lines between the frames
     dt: length of a frame [s]
-    initial: emitted at t = 0, shape (n,); None is silence
-    Returns emitted amplitudes at 0, dt, 2 dt, ..., shape (frames + 1, n) for held frames, (frames, n) for linear ones.
+    initial: emission at t = 0, shape (n,); None: silence
+    Returns emitted amplitudes at 0, dt, 2 dt, ..., shape (frames + 1, n) for held frames, (frames, n) if linear.
     Raises DeviceError for another shape, values that are not finite, and dt not above 0.
     """
     commanded, start = _frames(drives, dt, pole, initial)
@@ -94,7 +94,7 @@ def filter_frames(
 
 
 def pole_weights(z: Complex) -> tuple[Complex, Complex, Complex]:
-    """e^{-z}; 1 - e^{-z}; and 1 - (1 - e^{-z})/z, the weight of a ramp over a step; each without cancellation."""
+    """Return e^{-z}, 1 - e^{-z}, and 1 - (1 - e^{-z})/z (weight of a ramp over a step), without cancellation."""
     held = -np.expm1(-z)
     small = np.abs(z) < 1e-3
     safe = np.where(small, 1.0, z)

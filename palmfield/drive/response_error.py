@@ -1,14 +1,14 @@
-"""Errors of ignoring ring-up and flight time, measured on samples of the drive of a scene.
+"""Errors of ignoring ring-up and flight time, computed from samples of the drive of a scene.
 
-Every jump of the drive counts: start, stop, path points, control ticks, and jumps and cusps of a modulation.
-"""
+The samples include every jump of the drive: start, stop, path points, control ticks, and jumps and cusps of a
+modulation."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its parts at first use
+import scipy  # loads its submodules at first use
 
 from palmfield.config import StimulusConfig
 from palmfield.stimulus.modulation import sharpest_s
@@ -17,18 +17,18 @@ from palmfield.stimulus.waveform import period_s
 from palmfield.types import Complex, Float, Int
 
 SAMPLES_A_DELAY = 16
-"""Samples in the delay of a ringing transducer, 0.2 ms for Q = 25."""
+"""Number of samples in the delay of a transducer with ring-up, 0.2 ms for Q = 25."""
 SHORTEST_S = 2e-6
 LEAST_WINDOW_S = 10e-3
 MOST_WINDOW_S = 100e-3
 SETTLED = 10
-"""Delays after which the initial state of a pole has decayed to 5e-5."""
+"""Time after which the initial state of a pole has decayed to 5e-5, in delays."""
 LOSS, FORGOTTEN = 0.1, 8
-"""Damping ratio of the oscillator that models a skin, and periods after which its initial state has decayed."""
+"""Damping ratio of the oscillator that models a skin, and time in which its initial state decays, in periods."""
 SLOWEST_Hz = 5.0
-"""Slower oscillators respond less to a ring-up, and their initial state decays slowly."""
+"""Lowest frequency of the oscillator: slower ones respond less to a ring-up, and their initial state decays slowly."""
 VALUES = 100_000
-"""Largest number of sampled drives; a path that needs more is sampled on some of the transducers."""
+"""Largest number of sampled drives; if a path needs more, only some of the transducers are sampled."""
 FEWEST = 16
 
 
@@ -46,7 +46,7 @@ class ResponseError:
 def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float]]:
     """Return the time intervals [s] that contain all phases of a stimulus: start and ramp, one period, stop.
 
-    delay_s: delay of the transducers; ringing needs a window of several of these
+    delay_s: delay of the transducers; ring-up needs a window of several delays
     """
     least = max(LEAST_WINDOW_S, SETTLED * delay_s)
     start, steady = stimulus.start_s, stimulus.start_s + stimulus.ramp_s
@@ -73,7 +73,7 @@ def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float
 def shares(emitted: Complex, gain: Complex | None, distances: Float) -> Float:
     """Return the share of each transducer in the pressure at a focus, shape (n,).
 
-    emitted: its amplitude, shape (n,); gain: see Array, of the same transducers; distances: distances to the focus [m]
+    emitted: emitted amplitudes, shape (n,); gain: see Array, of the same transducers; distances: to the focus [m]
     """
     parts = np.abs(emitted if gain is None else emitted * gain) / distances
     total = parts.sum()
@@ -90,22 +90,20 @@ def response_errors(
 ) -> tuple[ResponseError, ResponseError]:
     """Return the errors of ignoring ring-up, and of ignoring differences in flight time.
 
-    The first error compares the emission of a pole with the drive itself, delayed by the mean delay of all. The second
-    error compares the emission of poles that are delayed by their flight times with that of poles that are delayed
-    equally.
+    The first error compares the emission of a pole with the drive, delayed by the mean delay of all transducers. The
+    second error compares the emission of poles delayed by their flight times with that of equally delayed poles.
 
-    along: function from points of the stimulus, shape (k, 3), to foci in the frame of the first array [m]; several
-    foci count as
-        one in their middle
+    along: function from points of the stimulus, shape (k, 3), to foci in the frame of the first array [m]; the middle
+        of several foci counts as one focus
     focusing: function from foci, shape (k, 3), and the numbers of some transducers to their drives, shape (k, n)
     weights: shares of the transducers in the pressure at the first focus, see `shares`, shape (n,)
-    rates: rates of their poles [1/s], shape (n,); times_s: flight times of their sound to there [s], shape (n,)
+    rates: rates of their poles [1/s], shape (n,); times_s: flight times of their sound to this focus [s], shape (n,)
     """
     delay = float((1.0 / rates).real.mean())
     step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
     lag = max(1, round(delay / step))
     delays = (times_s - weights @ times_s) / step
-    # Sound that arrives early needs samples from after the window
+    # Sound that arrives early needs samples after the window
     reach = math.ceil(np.abs(delays).max()) + 2
     inside = slice(SETTLED * lag, -reach)
     errors = []
@@ -132,12 +130,12 @@ def changes_of_motion(
 ) -> tuple[float, float]:
     """Return the relative change of the largest displacement under a stationary focus due to ring-up and flight times.
 
-    The skin is a weakly damped oscillator. A steady load that starts late or gradually gives the same displacement as
-    an instant one, except for changes as fast as the oscillator.
+    The skin is modelled as a weakly damped oscillator. A steady load that starts late or gradually gives the same
+    displacement as a sudden load, except for changes as fast as the oscillator.
 
-    rate: rate of the pole of the transducers [1/s]; spread_s: time between the first and the last sound to arrive,
-    even in between
-    frequency_Hz: frequency of the oscillator, at which most of the response of the skin lies
+    rate: rate of the pole of the transducers [1/s]
+    spread_s: time between the first and the last arrival of sound [s]; arrivals are uniform in between
+    frequency_Hz: frequency of the oscillator, at which the skin has most of its response
     """
     delay = (1.0 / rate).real
     step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
@@ -152,7 +150,7 @@ def changes_of_motion(
         levels = np.sqrt(frames_at(stimulus, np.asarray(begin + (cells + 0.5) * step))[1])
         late = np.convolve(np.pad(levels, (spread - 1, 0), mode="edge"), np.full(spread, 1.0 / spread), mode="valid")
         rung = np.abs(_rung(levels.astype(complex), rate * step)) ** 2
-        # Each is compared with an equally delayed one, since a pure delay only shifts the motion
+        # Each load is compared with an equally delayed load, because a pure delay only shifts the motion
         pairs = (rung, np.abs(_later(levels, lag)) ** 2), (late**2, np.abs(_later(levels, max(1, spread // 2))) ** 2)
         sizes = [[float(np.abs(_oscillation(load, w * step))[before:].max()) for load in pair] for pair in pairs]
         if all(own > 0.0 for _, own in sizes):
@@ -164,7 +162,7 @@ def changes_of_motion(
 def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -> tuple[Float, Float]:
     """Return the errors of the pressure at a stationary focus over time, shapes (k,), relative to full level.
 
-    There the transducers differ only by their poles, and their sounds add up.
+    At such a focus the transducers differ only by their poles, and their sound adds up.
     levels: levels of the drive, shape (k,); weights, z (rate times step), delays (in steps), shapes (n,)
     """
     ring_up, flight_time = np.zeros(len(levels)), np.zeros(len(levels), complex)
@@ -173,7 +171,7 @@ def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -
         same = z == one
         emitted = _rung(levels.astype(complex), one)
         ring_up += weights[same].sum() * np.abs(emitted - _later(levels, lag)) ** 2
-        # Shares of the pressure by flight time, distributed over the three nearest samples by a parabola
+        # The share of the pressure at each flight time is distributed over the three nearest samples by a parabola
         whole = np.round(delays[same]).astype(int)
         rest = delays[same] - whole
         kernel = np.zeros(2 * reach + 1)
@@ -185,11 +183,9 @@ def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -
 
 
 def _moving(drives: Complex, weights: Float, z: Complex, delays: Float, lag: int) -> tuple[Float, Float]:
-    """As `_still`, the rms over the transducers, weighted by their shares: by Cauchy and Schwarz at least the error of
-    the pressure at the focus.
+    """Return the same errors as `_still` as the rms over the transducers, weighted by their shares.
 
-    drives: shape (k, n)
-    """
+    By Cauchy and Schwarz, this is at least the error of the pressure at the focus. drives: shape (k, n)"""
     moments = np.arange(len(drives))
     ring_up, flight_time = np.zeros(len(drives)), np.zeros(len(drives))
     for j, weight in enumerate(weights):
@@ -200,9 +196,9 @@ def _moving(drives: Complex, weights: Float, z: Complex, delays: Float, lag: int
 
 
 def _oscillation(load: Float, angle: float) -> Float:
-    """Displacement of an oscillator initially at rest, relative to that under a steady load of 1, by the bilinear rule.
+    """Return the displacement of an oscillator, initially at rest, over that under a steady load of 1 (bilinear rule).
 
-    angle: its phase advance per sample [rad]
+    angle: phase advance of the oscillator per sample [rad]
     """
     c = 2.0 / angle
     end = c**2 + 2.0 * LOSS * c + 1.0
@@ -211,13 +207,13 @@ def _oscillation(load: Float, angle: float) -> Float:
 
 
 def _recursion(rows: Sequence[complex], loads: Complex | Float) -> Complex:
-    """Return x of rows[0] x[n] + rows[1] x[n-1] + ... = loads[n], with zeros before: a banded system."""
+    """Return x of rows[0] x[n] + rows[1] x[n-1] + ... = loads[n], with zeros before, by a banded system."""
     bands = np.tile(np.array(rows)[:, None], len(loads))
     return np.asarray(scipy.linalg.solve_banded((len(rows) - 1, 0), bands, loads, check_finite=False))
 
 
 def _rung(drive: Complex, z: complex) -> Complex:
-    """Return the emission of a pole in the middle of each sample for a drive held over it; initially settled. Exact."""
+    """Return the exact emission of a pole, initially settled, in the middle of each sample of a held drive."""
     half = np.exp(-0.5 * z)
     loads = (1.0 - half**2) * drive
     loads[0] += half**2 * drive[0]
@@ -231,7 +227,7 @@ def _later(drive: Complex | Float, lag: int) -> Complex | Float:
 
 
 def _some(delays: Float, most: int) -> Int:
-    """Return the numbers of all transducers, or of some of them, evenly from the nearest to the farthest."""
+    """Return the numbers of at most `most` transducers, evenly spaced from the nearest to the farthest."""
     order = np.argsort(delays)
     return order[np.linspace(0, len(order) - 1, min(most, len(order))).round().astype(int)].astype(np.int32)
 

@@ -1,9 +1,9 @@
-"""Drives that shape one beam: traps, vortices, plane waves. All are phases only, |a| = 1 (or 0).
+"""Drives that shape one beam: traps, vortices, plane waves. They use only phases: |a| = 1 (or 0).
 
 Like `palmfield.acoustics.focus.focus` they return the commanded drive, and ignore dead or inverted transducers.
 
-Some shapes divide the array round the axis of the beam: the line into the focus along the mean direction of the sound
-that arrives there. So the parts also balance for an off-axis focus, unlike parts round the normal of the board.
+Some shapes divide the array round the axis of the beam: the line through the focus along the mean direction of the
+sound there. So the parts balance also for an off-axis focus; parts round the normal of the board would not.
 """
 
 import dataclasses
@@ -19,17 +19,17 @@ from palmfield.errors import SceneError
 from palmfield.types import Air, Array, Complex, Float
 
 ON_LINE = 1e-9
-"""Sine of the angle within which a transducer lies on the dividing line of a twin trap and belongs to no half."""
+"""Sine of the angle from the dividing line of a twin trap below which a transducer belongs to no half."""
 
 ALONG_Y = 1.0 - 1e-12
-"""An array faces along y if the cosine of its normal to y is at least this."""
+"""Least cosine between the normal of an array and y for which the array faces along y."""
 
 
 def twin_trap(array: Array, air: Air, point: ArrayLike, azimuth_rad: float = 0.0) -> Complex:
-    """Focus whose halves are in antiphase: two lobes, and silence on the plane between them.
+    """Return a drive with two halves in antiphase: two lobes at the focus, and silence on the plane between them.
 
     The plane contains the axis of the beam; the lobes lie along azimuth_rad from x, seen along the beam. The silence is
-    exact where plane and array are mirror-symmetric. Transducers on the plane are off.
+    exact if the array is mirror-symmetric about the plane. Transducers on the plane are off.
 
     point: the focus [m], array frame, shape (3,)
     Returns complex amplitudes, shape (len(array),).
@@ -45,15 +45,15 @@ def twin_trap(array: Array, air: Air, point: ArrayLike, azimuth_rad: float = 0.0
 
 
 def vortex(array: Array, air: Air, point: ArrayLike, order: int = 1) -> Complex:
-    """Focus whose phase winds `order` times round the axis of the beam: a dark core in a ring of sound.
+    """Return a drive whose phase increases by `order` turns round the axis of the beam: a ring of sound, silent inside.
 
     For a positive order, the phase delay of the sound increases with the azimuth, which is counted from x towards y.
-    On a coarse board, high orders suffer from aliasing: the square outline of the board also produces other orders,
-    which are louder within a few millimetres of the axis.
+    On a coarse board, high orders have aliasing: the square outline of the board also produces other orders, which are
+    louder within a few millimetres of the axis.
 
     point: the focus [m], array frame, shape (3,)
     Returns complex amplitudes, shape (len(array),).
-    Raises SceneError for a bad focus (see `focus`) or an order that is no whole number.
+    Raises SceneError for a bad focus (see `focus`) or an order that is not a whole number.
     Source: B. T. Hefner, P. L. Marston, J. Acoust. Soc. Am. 106, 3313 (1999).
     """
     if not np.isfinite(order) or int(order) != order:
@@ -64,10 +64,10 @@ def vortex(array: Array, air: Air, point: ArrayLike, order: int = 1) -> Complex:
 
 
 def bottle(array: Array, air: Air, point: ArrayLike) -> Complex:
-    """Focus whose inner and outer transducers are in antiphase: silence with sound before, behind and round it.
+    """Return a drive with inner and outer transducers in antiphase: silence at the focus, with sound on all sides.
 
-    The boundary is where the inner transducers give half of the total pressure at the focus. The two parts cancel
-    there, to within the transducers of one ring.
+    The inner transducers give half of the total pressure at the focus. So the two parts cancel there, to within the
+    transducers of one ring.
 
     point: the focus [m], array frame, shape (3,)
     Returns complex amplitudes, shape (len(array),).
@@ -83,9 +83,9 @@ def bottle(array: Array, air: Air, point: ArrayLike) -> Complex:
 
 
 def plane_wave(array: Array, air: Air, direction: ArrayLike) -> Complex:
-    """Plane wave along `direction`, as far as the aperture reaches: exp(i k n.x) at the transducers.
+    """Return a drive for a plane wave along `direction`, limited by the aperture: exp(i k n.x) at the transducers.
 
-    direction: array frame, shape (3,), of any length; it must lead out of the front of every transducer
+    direction: array frame, shape (3,), of any length; it must be in front of every transducer
     Returns complex amplitudes, shape (len(array),).
     Raises SceneError for another direction.
     """
@@ -109,11 +109,11 @@ def plane_wave(array: Array, air: Air, direction: ArrayLike) -> Complex:
 def round_beam(array: Array, air: Air, point: ArrayLike) -> tuple[Float, Float]:
     """Return the position of each transducer relative to the axis of the beam, seen from the focus, and its pressure.
 
-    The axis is the mean direction of arrival, weighted by |p|. y is the frame's y as seen along the array's mean
-    normal. If that is along y itself, it is the y of a board after rotation about x to look there.
+    The axis is the mean direction of arrival, weighted by |p|. y is the y of the frame, seen along the mean normal of
+    the array. If the normal is along y, y is that of a board that was rotated about x to this direction.
 
     Returns the sines of the angles from the axis, shape (n, 2), and |p| at the focus [Pa], shape (n,), both without
-    `array.gain`. Raises SceneError when the axis does not lead out of the array.
+    `array.gain`. Raises SceneError if the axis does not point out of the array.
     """
     target = np.asarray(point, float)
     share = np.abs(transfer64(target[None], dataclasses.replace(array, gain=None), air)[0])

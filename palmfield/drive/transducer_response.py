@@ -1,7 +1,7 @@
 """Response of the transducers to the drive over time: their resonance, and the spread of flight times.
 
-The carrier is never stepped. Each transducer is one complex pole, stepped exactly under a held or linear drive; a
-longer flight time starts from an earlier drive. A delay common to all is omitted: it only shifts results in time.
+The carrier is not stepped. Each transducer is one complex pole, stepped exactly under a held or linear drive. For a
+longer flight time, an earlier drive is used. A common delay of all transducers is omitted: it only shifts results.
 
 `emitted_over` steps the transducers over one MuJoCo step.
 """
@@ -25,11 +25,11 @@ from palmfield.stimulus.schedule import Moments, first_point, frames_at
 from palmfield.types import Complex, Float, Int
 
 DELAY_STEP_S = 20e-6
-"""Flight times are rounded to this: 2 % of a turn of an envelope of 1 kHz."""
+"""Resolution of flight times [s]: 2 % of a period of an envelope of 1 kHz."""
 SILENT = 1e-9
-"""Share of full drive: a smaller emission counts as zero."""
+"""Share of full drive below which an emission counts as zero."""
 GRAIN_S = 1e-15
-"""Step lengths are rounded to this, so that steps that differ only by clock rounding share their weights."""
+"""Resolution of step lengths [s], so that steps that differ only by rounding of the clock have the same weights."""
 KEPT = 64
 WHOLE: Float = np.ones((1, 1))
 
@@ -37,10 +37,10 @@ Weights = tuple[complex | Complex, complex | Complex, complex | Complex]
 
 
 class PoleStepper:
-    """Steps transducers exactly under a linear drive; immutable except for cached weights.
+    """Step transducers exactly under a linear drive; immutable except for cached weights.
 
-    alike: whether one pole serves all transducers: then the emission for one unit drive can be stepped as a number
-    tuned: whether all resonate at the frequency of the drive: weights are real, and a number rounds as in an array
+    alike: whether all transducers have the same pole, so that the emission for one unit drive is stepped as a number
+    tuned: whether all resonate at the frequency of the drive, so that weights are real, and a number rounds as an array
     """
 
     def __init__(self, pole: Pole):
@@ -53,7 +53,7 @@ class PoleStepper:
     def weights(self, time_s: float) -> Weights:
         """Return weights of the emission before, and of the drive at the beginning and the end, over `time_s` [s].
 
-        They are numbers if all transducers are alike, else arrays of shape (N,).
+        They are numbers if all transducers are equal, else arrays of shape (N,).
         """
         grains = round(time_s / GRAIN_S)
         weights = self._stored.get(grains)
@@ -73,8 +73,8 @@ class TransducerResponse:
     """Whether ring-up and flight time are modelled, and the errors of ignoring them.
 
     ring_up, flight_time: errors of the pressure without ring-up, and with equal flight times of all transducers
-    spread_s: time between the first and the last sound to arrive; pole: pole of all N transducers
-    delays_s: delay of each transducer against the middle [s] in the reference pose, shape (N,), zeros if ignored
+    spread_s: time between the first and the last arrival of sound [s]; pole: pole of all N transducers
+    delays_s: delay of each transducer minus the middle delay [s] in the reference pose, shape (N,), zeros if ignored
     """
 
     on: bool
@@ -96,7 +96,7 @@ class TransducerResponse:
 
     @cached_property
     def alike(self) -> bool:
-        """Whether all transducers respond alike: then one drive at any levels emits multiples of that drive."""
+        """Whether all transducers have the same response, so that any levels of one drive emit multiples of it."""
         return not self.on or (not self.delayed and self.stepper.alike)
 
 
@@ -109,11 +109,10 @@ def transducer_response(
     *,
     spread: bool = True,
 ) -> TransducerResponse:
-    """Decide which effects to model. ARP is quadratic in the pressure, so `auto` allows a quarter of the accuracy.
+    """Decide which effects are modelled. ARP is quadratic in the pressure, so `auto` allows a quarter of the accuracy.
 
-    focal_points: focal points of the stimulus in the reference pose; accuracy: target relative error of the skin
-    displacement;
-    instances: instances of the arrays, as `drive.array.parts`; spread: whether flight times may differ
+    focal_points: focal points of the stimulus in the reference pose; instances: instances of `drive.array.parts`
+    accuracy: target relative error of the skin displacement; spread: whether flight times may differ
     """
     counts = [len(part) for part in drive.array.parts]
     poles = [one.pole(count) for one, count in zip(instances, counts, strict=True)]
@@ -137,9 +136,9 @@ def transducer_response(
 
 
 def flight_delays(drive: ArrayDrive, focus: Float) -> Float:
-    """Return the flight time from each transducer to a focus against the middle, in whole DELAY_STEP_S [s], shape (N,).
+    """Return flight times to a focus minus the middle flight time, in whole DELAY_STEP_S [s], shape (N,).
 
-    Of several foci, shape (m, 3), the first one counts. Transducers that are not chosen get 0.
+    Of several foci, shape (m, 3), the first is used. The value is 0 for transducers that are not chosen.
     """
     times = drive.flight_times(focus if focus.ndim == 1 else focus[0])
     middle = 0.5 * (np.maximum.reduce(times) + np.minimum.reduce(times))
@@ -158,11 +157,10 @@ def commanded_drive(
     times: Float,
     focal_points: FocalPoints,
 ) -> Complex:
-    """Return the drive of each transducer whose sound arrives at some times [s], shape (k,) (less the common delay),
-    (k, N).
+    """Return the drives, (k, N), whose sound arrives at times [s], shape (k,), without the common delay.
 
-    delays_s: delay of each transducer, in whole DELAY_STEP_S [s], shape (N,); None for none
-    Errors as `ArrayDrive.unit_drive`, only for active points.
+    delays_s: delay of each transducer, in whole DELAY_STEP_S [s], shape (N,); None: no delays
+    Errors as for `ArrayDrive.unit_drive`, only for active points.
     """
     lags, group = _delay_groups(delays_s)
     points, levels = _points_and_levels(stimulus, times, lags)
@@ -170,7 +168,7 @@ def commanded_drive(
 
 
 def _points_and_levels(stimulus: StimulusConfig, times: Float, lags: Float) -> tuple[Float, Float]:
-    """Return the points of the stimulus and the pressure's levels at times less lags, shapes (k, d, 3) and (k, d)."""
+    """Return points of the stimulus, (k, d, 3), and levels of the pressure, (k, d), at times minus lags."""
     when = times[:, None] - lags
     points, factors = frames_at(stimulus, when.reshape(-1))
     return points.reshape(*when.shape, 3), np.sqrt(factors, out=factors).reshape(when.shape)
@@ -179,12 +177,12 @@ def _points_and_levels(stimulus: StimulusConfig, times: Float, lags: Float) -> t
 def _commanded(
     drive: ArrayDrive, points: Float, levels: Float, group: Int | None, focal_points: FocalPoints
 ) -> Complex:
-    """Return the unit drives times levels, each transducer by its group, shape (k, N)."""
+    """Return unit drives times levels, with points and levels of the group of each transducer, shape (k, N)."""
     audible = levels > 0.0
     if not np.logical_or.reduce(audible, axis=None):
         return np.zeros((len(points), drive.count), np.complex128)
     if len(points) > 1 and np.logical_and.reduce(points == points[:1], axis=None):
-        # A focus at rest: one drive serves all moments
+        # For a focus at rest, one drive is valid for all moments
         anywhere = np.logical_or.reduce(audible, axis=0, keepdims=True)
         drives = np.tile(drive.unit_drives(points[:1], focal_points, group, anywhere), (len(points), 1))
     else:
@@ -201,7 +199,7 @@ NO_LAG: Float = np.zeros(1)
 
 
 def delays_now(stimulus: StimulusConfig, drive: ArrayDrive, focal_points: FocalPoints) -> tuple[Float, Int | None]:
-    """`_delay_groups` with the present places of the arrays and of the points of the stimulus; the last is cached."""
+    """Return `_delay_groups` for the present places of arrays and points of the stimulus; the last result is cached."""
     cached = drive.delays
     if cached is None or cached[0] is not focal_points:
         delays_s = flight_delays(drive, focal_points.at(first_point(stimulus)))
@@ -210,7 +208,7 @@ def delays_now(stimulus: StimulusConfig, drive: ArrayDrive, focal_points: FocalP
 
 
 def _delay_groups(delays_s: Float | None) -> tuple[Float, Int | None]:
-    """Return the distinct delays [s], shape (d,), and the index of each transducer's, shape (N,); None for one."""
+    """Return the distinct delays [s], (d,), and the index of the delay of each transducer, (N,), or None if d = 1."""
     if delays_s is None or not np.logical_or.reduce(delays_s):
         return NO_LAG, None
     steps = np.rint(delays_s / DELAY_STEP_S)
@@ -223,9 +221,9 @@ def ring(
 ) -> tuple[Complex, complex | Complex]:
     """Step transducers through all moments; return their emission at each moment and at the end of the last step.
 
-    emitted: emitted drive at the beginning, shape (N,); commanded: drive at the moments, shape (m, N). It is linear
-    from moment to moment; in a held part the moment is in the middle
-    If all are alike and emit multiples of one drive, a number and shape (m,) are enough.
+    emitted: emitted drive at the beginning, shape (N,); commanded: drive at the moments, shape (m, N), linear between
+    moments; in a held part the moment is in the middle
+    If all transducers are equal and emit multiples of one drive, a number and shape (m,) are enough.
     """
     at_moments = np.empty(commanded.shape, np.complex128)
     decay, before, after = stepper.weights(moments.step_s) if True in moments.linear else (0.0, 0.0, 0.0)
@@ -250,7 +248,7 @@ def ring(
 
 
 class Batch(NamedTuple):
-    """Drives of several steps, whose fields are computed together. drives: shape (M, N)"""
+    """Drives of several steps whose fields are computed together. drives: shape (M, N)"""
 
     serial: int
     drives: Complex
@@ -259,9 +257,9 @@ class Batch(NamedTuple):
 class EmittedCourse(NamedTuple):
     """Emission of the transducers by stimuli at m moments: levels @ units.
 
-    units: drives, shape (k, N): none in silence, one whose level varies, one for each of a few stimuli, or one a moment
-        (k = m > 1; the levels are the identity then)
-    levels: emitted multiple of each at each moment, complex, shape (m, k)
+    units: drives, shape (k, N): k = 0 in silence, 1 for one drive with varying level, number of stimuli, or one drive
+        per moment (k = m > 1; then levels are the identity)
+    levels: emitted multiple of each unit at each moment, complex, shape (m, k)
     end: complex amplitudes at the end of the last step, shape (N,); without response those at the beginning
     serial: equal for courses with the same patterns of ARP, of one unit or of each moment
     batch, row: drives of this and other steps, None without a batch, and the row of the first drive of this course
@@ -277,8 +275,8 @@ class EmittedCourse(NamedTuple):
     def weights(self, moments: Moments) -> tuple[Float, Float]:
         """Return weights of the patterns of ARP at the beginning and the end of each step of `moments`, shapes (s, p).
 
-        There is one pattern of one unit, proportional to |level|^2, or one pattern for each moment; in silence, one
-        zero pattern.
+        The patterns are that of one unit, with weights proportional to |level|^2, or one for each moment; in silence
+        one zero pattern.
         """
         if len(self.units) > 1:
             return moments.first, moments.last
@@ -287,7 +285,7 @@ class EmittedCourse(NamedTuple):
 
 
 def silence(moments: int, end: Complex) -> EmittedCourse:
-    """Return silence at some moments; end: as in EmittedCourse."""
+    """Return a course of silence at some moments; end: as in EmittedCourse."""
     return EmittedCourse(np.zeros((0, len(end)), np.complex128), np.zeros((moments, 0), np.complex128), end, 0)
 
 
@@ -303,7 +301,7 @@ def of_drives(drives: Complex, end: Complex) -> EmittedCourse:
 
 @lru_cache(maxsize=64)
 def _identity(size: int) -> Complex:
-    """Return the levels for one drive a moment, read-only, shape (m, m)."""
+    """Return the levels for one drive per moment, read-only, shape (m, m)."""
     identity = np.eye(size, dtype=np.complex128)
     identity.flags.writeable = False
     return identity
@@ -319,12 +317,12 @@ def emitted_over(
 ) -> EmittedCourse:
     """Compute the emission of the transducers at the moments of one MuJoCo step, or of any equal steps.
 
-    emitted: complex amplitudes at the beginning, shape (N,); those of transducers that this stimulus does not drive are
-        ignored. Not changed, and not read without response
+    emitted: complex amplitudes at the beginning, shape (N,), not changed; not used without response, and not for
+        transducers that this stimulus does not drive
     focal_points: places of the points of the stimulus during the step
     moments: `substep_moments` of this stimulus, or of all stimuli of a scene together
-    For a stationary focus the result is levels of one unit drive if that is true to SILENT: no array of shape (m, N) is
-    made then, if all transducers are alike and have equal flight times. Errors as `ArrayDrive.unit_drive`.
+    For a stationary focus the result is levels of one unit drive, if this is true to SILENT. If all transducers are
+    equal and have equal flight times, no array of shape (m, N) is made. Errors as for `ArrayDrive.unit_drive`.
     """
     if response.on and not drive.everything:
         emitted = _own(emitted, drive)
@@ -387,7 +385,7 @@ def _of_one_unit(
 
 
 def _level_of(unit: UnitDrive, emitted: Complex) -> complex | None:
-    """Return the emitted multiple of a unit drive, or None if the emission is not one."""
+    """Return the emitted multiple of a unit drive, or None if the emission is not a multiple."""
     level = complex(unit.conjugate @ emitted) / unit.power if unit.power > 0.0 else 0j
     rest = np.abs(emitted - level * unit.amplitudes)
     return level if np.maximum.reduce(rest) < SILENT else None
@@ -403,8 +401,8 @@ def emitted_now(
 ) -> EmittedCourse:
     """Return the emission of the transducers at the present time [s], as a course of one moment.
 
-    emitted: complex amplitudes now, shape (N,), of the transducers' state. Without response, the commanded drive sounds
-    at once.
+    emitted: present complex amplitudes of the state of the transducers, shape (N,). Without response, the emission is
+    the commanded drive.
     """
     if not response.on:
         return emitted_over(stimulus, drive, response, emitted, focal_points, instant(time_s))
@@ -417,7 +415,7 @@ def emitted_now(
         level = _level_of(unit, emitted)
         if level is not None:
             return of_unit(unit, np.array([level]), emitted)
-    # A copy, because the emission may be written to one array repeatedly, and fields are cached by their drive
+    # A copy, because the array of the emission may be overwritten, and fields are cached by their drive
     return of_drives(emitted[None].copy(), emitted)
 
 
@@ -437,7 +435,7 @@ def instant(time_s: float) -> Moments:
 def combined(courses: Sequence[EmittedCourse]) -> EmittedCourse:
     """Return the sum over simultaneous stimuli, at the same moments; no transducer belongs to two stimuli.
 
-    Levels of one unit drive are kept where the others are silent.
+    Levels of one unit drive stay if the other stimuli are silent.
     """
     if len(courses) == 1:
         return courses[0]

@@ -18,16 +18,16 @@ from palmfield.files import writing
 WRITE_TIMEOUT_S = 0.25
 TIMEOUTS_BEFORE_LOST = 8
 VIRTUAL_BAUD = 115200
-"""Baud rate of a port whose board has none: sockets and pseudo-terminals accept any."""
+"""Baud rate of a port if the board has none; sockets and pseudo-terminals accept any rate."""
 COUNT_MARK = b"\x00pfVB\xff"
-"""Mark before each number that a virtual board sends back: count of bytes read so far, 8 bytes, lowest first."""
+"""Mark before each number from a virtual board: count of bytes read so far, 8 bytes, lowest first."""
 COUNT_BYTES = len(COUNT_MARK) + 8
 REPORT_LIMIT_S = 0.06
-"""A virtual board reports its number more often than this."""
+"""Upper limit of the interval between reports of a virtual board [s]."""
 FIRST_LOOKS, FIRST_PATIENCE = 50, 4.0
-"""Number of tries to read the first number, and their total time in units of `REPORT_LIMIT_S`."""
+"""Number of tries to read the first report, and their total time in units of `REPORT_LIMIT_S`."""
 
-# pyserial does not catch termios.error, which is neither a SerialException nor an OSError and exists on POSIX only.
+# pyserial does not catch termios.error, which is neither a SerialException nor an OSError and exists only on POSIX.
 LOST: tuple[type[Exception], ...] = (serial.SerialException, OSError)
 if os.name == "posix":
     import termios
@@ -37,26 +37,26 @@ CANNOT_OPEN: tuple[type[Exception], ...] = (*LOST, ValueError)
 
 
 class PortLost(DeviceError):
-    """An open port was lost, or takes no more bytes."""
+    """An open port was lost, or accepts no more bytes."""
 
 
 class Transport(Protocol):
-    """A target of bytes. name: name of the port or file, for messages"""
+    """Destination of bytes. name: name of the port or file, for messages"""
 
     name: str
 
     def write(self, data: bytes) -> bool:
         """Send bytes; return False if they were not all sent in time.
 
-        Raises PortLost if the other end is lost, OutputError if a file takes no more.
+        Raises PortLost if the other end is lost, OutputError if a file accepts no more bytes.
         """
         ...
 
     def waiting(self) -> int:
-        """Return the number of written bytes that are certainly not on the line yet; the board may delay further bytes.
+        """Return the number of written bytes that are certainly not on the line yet; more bytes may be waiting.
 
-        A pseudo-terminal reports 0 with bytes unread, unless a virtual board at its other end reports how many it took.
-        Raises PortLost if the other end is lost.
+        A pseudo-terminal reports 0 also with unread bytes, unless a virtual board at its other end reports its count of
+        bytes. Raises PortLost if the other end is lost.
         """
         ...
 
@@ -65,7 +65,7 @@ class Transport(Protocol):
         ...
 
     def close(self) -> None:
-        """Close the port or file without sending bytes. A file gets its final name."""
+        """Close the port or file without sending bytes. A file is renamed to its final name."""
         ...
 
 
@@ -84,7 +84,7 @@ class SerialTransport:
         self._offered, self._reported, self._first_reported, self._received = 0, 0, -1, b""
 
     def write(self, data: bytes) -> bool:
-        """Send bytes; return False after a write timeout. A part may be on the line then, so never send the rest."""
+        """Send bytes; return False after a write timeout. A part may be on the line: do not send the rest later."""
         try:
             self._listen()
             self._stream.write(data)
@@ -100,10 +100,9 @@ class SerialTransport:
         return True
 
     def offer(self, data: bytes) -> int:
-        """Return how many of the bytes the system accepts at once; never waits, except for ports without a descriptor.
-        Never pass the rest of a frame: after a partly accepted frame, pass a whole frame. Raises PortLost if the other
-        end is lost.
-        """
+        """Write bytes without waiting (except for ports without a descriptor); return the number of accepted bytes.
+
+        After a partly accepted frame, pass a whole frame, never the rest. Raises PortLost if the other end is lost."""
         if self._fd is None:
             return len(data) if self.write(data) else 0
         try:
@@ -118,7 +117,7 @@ class SerialTransport:
 
     @property
     def is_virtual(self) -> bool:
-        """Whether `waiting` counts all bytes that are not on the line: a virtual board at the other end reports it."""
+        """Whether a virtual board at the other end reports its bytes, so that `waiting` counts all waiting bytes."""
         return self._first_reported >= 0
 
     def waiting(self) -> int:
@@ -134,9 +133,9 @@ class SerialTransport:
             raise PortLost(f"connection to {self.name} lost: {reason(error)}") from error
 
     def await_report(self) -> None:
-        """Wait for the first number of a virtual board, if there is one; before any byte is written.
+        """Wait for the first report of a virtual board, if there is one, before any byte is written.
 
-        It tries several times, because the board is late too if the machine pauses.
+        There are several tries, because the board is late too if the machine pauses.
         """
         for _ in range(FIRST_LOOKS):
             if self.is_virtual:
@@ -145,7 +144,7 @@ class SerialTransport:
             self.waiting()
 
     def _listen(self) -> None:
-        """Discard answers of real boards; a virtual one reports the bytes it took. Fails after an unplug."""
+        """Read reports of a virtual board, and discard answers of real boards. Raises an error after an unplug."""
         if not self._stream.in_waiting:
             return
         if self._fd is None:
@@ -176,7 +175,7 @@ class SerialTransport:
         self._stream.close()
 
     def _end_socket(self) -> None:
-        """Read all numbers before closing a socket: otherwise it would discard bytes that the board has not read."""
+        """Read all reports before closing a socket; otherwise bytes that the board has not read would be discarded."""
         connection = self._stream._socket
         if connection is None:
             return
@@ -189,7 +188,7 @@ class SerialTransport:
 
 
 class FileTransport:
-    """A file with the bytes for a board: in `<path>.part` while open, in `path` after close."""
+    """A file with the bytes for a board: `<path>.part` while it is open, `path` after close."""
 
     def __init__(self, path: str | Path) -> None:
         """Raises OutputError if the file cannot be made."""
@@ -230,7 +229,7 @@ def open_serial(port: str, baud: int | None) -> SerialTransport:
     """Open a serial port or URL, exclusively if the system supports that.
 
     port: device (/dev/ttyUSB0, COM3) or pyserial URL (loop://, socket://host:port); baud: None for a board without one
-    Raises DeviceError if it cannot be opened; the message names the available ports.
+    Raises DeviceError, with the available ports, if it cannot be opened.
     """
     try:
         stream = serial.serial_for_url(
@@ -247,7 +246,7 @@ def may_be_virtual(port: str) -> bool:
 
 
 def reason(error: Exception) -> str:
-    """Return why a port cannot be opened or is lost, in words."""
+    """Return the reason why a port cannot be opened or is lost, in words."""
     number = getattr(error, "errno", None)
     if number == errno.EACCES:
         return "permission denied (on Linux, add yourself to the group 'dialout' and log in again)"
@@ -257,7 +256,7 @@ def reason(error: Exception) -> str:
 
 
 def choices() -> str:
-    """List the available serial ports, in words."""
+    """Return a list of the available serial ports, in words."""
     ports = sorted(port.device for port in comports())
     return (
         f"ports found: {', '.join(ports)}" if ports else "no serial port found: connect the board, or check its cable"

@@ -12,7 +12,7 @@ from palmfield.errors import DeviceError
 class TriggerLine:
     """Raises a line at a moment and lowers it again, or sends a byte at this moment.
 
-    late_s: delay of the last one, by the clock of the host [s]
+    late_s: delay of the last pulse or byte, by the clock of the host [s]
     """
 
     def __init__(
@@ -32,7 +32,7 @@ class TriggerLine:
             raise DeviceError(f"trigger.port '{port}' cannot be opened: {error}; give a serial port") from None
 
     def mark(self, text: str, when: float) -> None:
-        """Raise the line at a moment of time.monotonic, at once if it is past; returns at once. text: not sent"""
+        """Raise the line at a moment of time.monotonic, now if it is past; return without waiting. text: not sent"""
         timer = threading.Timer(max(0.0, when - time.monotonic()), self._pulse, (when,))
         timer.daemon = True
         self._timers = [*(one for one in self._timers if one.is_alive()), timer]

@@ -1,6 +1,6 @@
 """Virtual board: reads bytes from a pseudo-terminal or a TCP socket at the rate of the line, and plays them.
 
-It has the buffers of the real one and records the emission; faults can be added to the line.
+It has the buffers of the real board and records the emission. Faults can be added to the line.
 """
 
 import contextlib
@@ -23,14 +23,12 @@ REPORT_S = 4e-3
 """Interval of reports of the number of bytes read [s]; ten times longer while the number is unchanged."""
 assert 10 * REPORT_S < REPORT_LIMIT_S
 BURST_S = 20e-3
-"""Largest delay on the line that a late thread recovers in one read."""
+"""Largest delay of the reading thread that one read makes up [s]."""
 
 
 @dataclass
 class Faults:
-    """Faults of the line, each a share of bytes. drop: lost bytes; flip: bytes with one wrong bit; seed: seed of the
-    draws
-    """
+    """Faults of the line, as shares of bytes. drop: lost bytes; flip: bytes with one wrong bit; seed: random seed"""
 
     drop: float = 0.0
     flip: float = 0.0
@@ -60,7 +58,7 @@ class VirtualBoard:
 
     port: port to open, a device or a pyserial URL; received: all bytes so far, as they arrived
     emitted: emission over time, on `clock`; flags: errors that the board detected
-    Unlike a real board it reports how many bytes it has taken, as real ports report waiting bytes.
+    Unlike a real board it reports the number of bytes read, because real ports report the number of waiting bytes.
     """
 
     def __init__(
@@ -75,12 +73,11 @@ class VirtualBoard:
         realtime: bool = False,
         decodes: bool = True,
     ) -> None:
-        """tcp_port: 0 for any free one; link: name of the pseudo-terminal that is kept when it is plugged in again;
-        tells: whether it reports how many bytes it has read; realtime: whether
-        its thread requests priority, as a real board takes bytes at any load of the host; decodes: whether bytes are
-        decoded as they come, or else when `decode` is called, to avoid delays
-
-        Raises DeviceError for a system without pseudo-terminals, and for a port that is in use.
+        """tcp_port: 0: any free port; link: fixed name of the pseudo-terminal, also after it is plugged in again;
+        tells: whether the board reports the number of bytes read; realtime: whether its thread requests priority,
+        because a real board reads bytes at any load of the host; decodes: True: bytes are decoded on arrival; False:
+        when `decode` is called, to avoid delays. Raises DeviceError for a system without pseudo-terminals, and for a
+        port that is in use.
         """
         assert board.line is not None
         self.board, self.line, self.faults = board, board.line, faults or Faults()
@@ -120,7 +117,7 @@ class VirtualBoard:
         self._losing = count
 
     def settle(self, quiet_s: float = 0.1) -> None:
-        """Wait until no bytes have come for a while."""
+        """Wait until no bytes have come for quiet_s [s]."""
         before = -1
         while before != len(self.received):
             before = len(self.received)
@@ -229,7 +226,7 @@ class VirtualBoard:
         while not self._ended.is_set():
             time.sleep(TICK_S)
             now = self.clock
-            # Received bytes came after the last check, so an idle line accumulates no time, and a full line keeps the
+            # Received bytes came after the last check. So an idle line accumulates no time, and a full line keeps the
             # time of the byte in transit
             begin = max(self._free_s, before - self.line.time_s(1), now - BURST_S)
             before = now
@@ -255,7 +252,7 @@ class VirtualBoard:
                 self._peer.send(number)
 
     def _receive(self, data: bytes, begin: float) -> None:
-        """Read bytes that are consecutive on the line from `begin` on."""
+        """Process bytes that are consecutive on the line from time `begin` [s] on."""
         self._read_count += len(data)
         self.received += data
         through = self.faults.through(data[self._losing :])

@@ -13,11 +13,11 @@ from palmfield.metrics.checks import above_zero, even_step, finite, trace
 from palmfield.types import Float
 
 AMBIGUOUS = 0.98
-"""Smallest correlation, as a share of the best, for which another delay makes the result ambiguous."""
+"""Correlation at another delay, as a share of the best, from which the delay is ambiguous."""
 SEGMENTS = 8
-"""Number of half-overlapping Hann windows for a coherence; that of noise is then about 1/5."""
+"""Number of half-overlapping Hann windows for a coherence; the coherence of noise is then about 1/5."""
 FEWEST = 16
-"""Smallest number of samples of such a window."""
+"""Smallest number of samples in such a window."""
 
 
 class Agreement(NamedTuple):
@@ -25,8 +25,8 @@ class Agreement(NamedTuple):
 
     gain: measured over computed amplitude, by least squares without delay, offset and drift; negative: inverted
     delay_s: delay of the measured record; ambiguous: whether another delay fits nearly as well
-    l2: norm of measured - computed over that of measured; l2_shape: l2 without gain, delay, offset and drift
-    coherence: share of the measured power that is linear in the computed record, weighted by that power
+    l2: norm of measured - computed over norm of measured; l2_shape: l2 after removing gain, delay, offset and drift
+    coherence: share of the measured power that is linear in the computed record, weighted by measured power
     offset: mean of the line fitted with gain and delay, in the unit of the records; drift: rise of the line
     level: rms of the measured record over that of the loudest point
     """
@@ -61,7 +61,7 @@ def agreement(times_s: ArrayLike, measured: ArrayLike, computed: ArrayLike, *, m
     step = even_step(times)
     delay, ambiguous = delays(_without_line(theirs), _without_line(ours), step, most_delay_s)
     late = shifted(ours, step, delay)
-    # Joint least squares of gain, offset and drift: the gain is that of records without lines (Frisch and Waugh)
+    # Joint least squares of gain, offset and drift gives the gain of records without their lines (Frisch and Waugh)
     bare, moving = _without_line(theirs), _without_line(late)
     gain = (moving * bare).sum(axis=0) / np.maximum((moving * moving).sum(axis=0), np.finfo(float).tiny)
     line = theirs - gain * late - (bare - gain * moving)

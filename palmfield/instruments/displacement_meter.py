@@ -20,7 +20,7 @@ NEAR_M = 1e-3
 
 
 class DisplacementMeter(Settings):
-    """A displacement meter. Raises MeasurementError for values out of their limits."""
+    """A displacement meter. Raises MeasurementError for values outside their limits."""
 
     instrument: ClassVar[str] = "displacement_meter"
     beam: Vector3 = Field(default=(0.0, 0.0, 1.0), description="distance from the surface to the head")
@@ -38,8 +38,8 @@ def spot_weights(points_m: ArrayLike, at_m: ArrayLike, settings: DisplacementMet
     """Return the weights of points in the mean over the spot, shape (n,): the Gaussian intensity of the light.
 
     The points represent equal areas. A spot of size 0 uses the nearest point.
-    Raises MeasurementError if fewer than four points are within the spot, and for size 0 if no point is nearer than
-    their spacing or NEAR_M.
+    Raises MeasurementError if fewer than four points are within the spot, and for size 0 if no point is nearer than the
+    spacing of the points or NEAR_M.
     """
     points, at = np.asarray(points_m, dtype=float), np.asarray(at_m, dtype=float)
     if at.shape != (3,) or not np.isfinite(at).all():

@@ -28,7 +28,7 @@ SPLITS = 8
 
 
 class Plate(Settings):
-    """The face of a jig. Raises MeasurementError for values out of their limits."""
+    """The face of a jig. Raises MeasurementError for values outside their limits."""
 
     instrument: ClassVar[str] = "plate"
     shape: Literal["rectangle", "disc"] = Field(default="rectangle")
@@ -45,7 +45,7 @@ class Plate(Settings):
 class PlateForce(NamedTuple):
     """Force into a plate [N], and the force from points with twice the spacing [N].
 
-    For second-order quadrature, the error of the first is a third of their difference.
+    For second-order quadrature, the error of the first force is a third of their difference.
     """
 
     force_N: float
@@ -148,7 +148,7 @@ def _cuts() -> Float:
 
 
 class Scale(Settings):
-    """A scale. Raises MeasurementError for values out of their limits."""
+    """A scale. Raises MeasurementError for values outside their limits."""
 
     instrument: ClassVar[str] = "scale"
     direction: Vector3 = Field(default=(0.0, 0.0, -1.0), description="direction in which force counts as weight")

@@ -22,13 +22,13 @@ LEAST_POINTS_A_WAVE = 3.0
 SURE = 0.013
 """Largest error of a resolved wavenumber."""
 TIED, NEXT = 10.0, 25.0
-"""Largest score difference from the best fit for other fits, and for a fit with one more ring, to be considered. A ring
-that fits only noise raises the score by 22 to 30."""
+"""Largest score difference from the best fit of other fits, and of a fit with one more ring, that are considered. A
+ring that fits only noise raises the score by 22 to 30."""
 MOST_LOSS = 0.5
 """Largest Im k / Re k; beyond it a wave loses 96 % per wavelength, too much to distinguish waves."""
 LASTING, LEAST_SHARE = 0.25, 0.05
-"""A ring with a share of more than LEAST_SHARE of the motion and an Im k below LASTING times that of the strongest ring
-represents several similar waves that the fit cannot separate, because the losses of one material differ less."""
+"""Limits that show several similar waves: a ring has more than LEAST_SHARE of the motion, and its Im k is below LASTING
+times that of the strongest ring. The fit cannot separate such waves; the losses of one material differ less."""
 HIDES = 0.03
 """Largest worst-case change of a resolved wavenumber by a wave hidden in the noise, to first order."""
 COUNTS = 0.2
@@ -44,9 +44,9 @@ class Wave:
 
     wavenumber_rad_m: k, Re k = w/c, Im k = 1/L, or None if it is not resolved; reason: why not, or ""
     estimate_rad_m: k of the best fit, also if it is not resolved
-    error: relative to |k|: standard deviation by noise, and change with another number of waves
-    motion: rms of this wave over that of the scan; waves: wavelengths in the width of the scan
-    points_a_wave: points of the scan per wavelength
+    error: standard deviation by noise, and change with another number of waves, relative to |k|
+    motion: rms of this wave over that of the scan; waves: number of wavelengths in the width of the scan
+    points_a_wave: number of points of the scan per wavelength
     """
 
     wavenumber_rad_m: complex | None
@@ -62,8 +62,8 @@ class Wave:
 class GuidedMode(Wave):
     """The travelling wave with most of the motion outside the source.
 
-    others: other travelling waves with at least COUNTS of its motion, strongest first, each with its error; if one is
-        nearly as strong, the guided mode is not unique
+    others: other travelling waves with at least COUNTS of its motion, strongest first, each with its error; if one of
+        them is nearly as strong, the guided mode is not unique
     misfit: share of the motion in the residual; rings: number of fitted waves; source_m: fitted source, (2,)
     """
 
@@ -76,7 +76,7 @@ class GuidedMode(Wave):
 def line_amplitudes(times_s: ArrayLike, values: ArrayLike, frequency_Hz: float, periods: int | None = None) -> Complex:
     """Return the complex amplitudes of records (t, n) at one frequency, e^{-i w t}, (n,), over the last whole periods.
 
-    Least squares with a constant, a slope and the line. Raises MeasurementError for a record without a period.
+    The fit is by least squares with a constant, a slope and the line. Raises MeasurementError without a whole period.
     """
     times, signal = trace(times_s, values, 8)
     above_zero("frequency_Hz", frequency_Hz)
@@ -103,8 +103,8 @@ def guided_mode_fit(
 
     amplitudes: shape (n,), e^{-i w t}; points_m: [m], shape (n, 2) or (n, 3), of which only x and y are used
     source_m: expected position of the source [m], (2,), which is fitted within `ring_fit.REACH_M`
-    source_radius_m: nearer points are not used; beyond 1.5 times the full width at half maximum of a spot there is
-        0.2 % of its pressure
+    source_radius_m: points nearer to the source are not used [m]; the pressure of a spot is below 0.2 % of its peak
+        beyond 1.5 times its full width at half maximum
     sights: lines of sight, shape (n, 3), z along the normal; None: only the normal motion is measured
     The number of rings has the smallest Bayesian information criterion.
     Raises MeasurementError for other shapes, fewer than FEWEST points outside the source, and silence.
@@ -165,7 +165,7 @@ def _wave(
 
 
 def _why_unresolved(fit: Rings, lead: int, flat: Float, last: bool) -> str:
-    """Return why a fit resolves no wave, or "". lead: its strongest travelling ring; last: no fit has more rings"""
+    """Return why a fit resolves no wave, or ""; lead: strongest travelling ring; last: if no fit has more rings."""
     if np.abs(fit.x[-2:]).max() > 0.98:
         return f"the fitted source is {1e3 * REACH_M:g} mm or more from source_m"
     nearest = cKDTree(flat).query(flat, k=2)[1][:, 1]

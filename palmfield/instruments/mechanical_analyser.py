@@ -19,7 +19,7 @@ from palmfield.types import Complex
 
 
 class Analyser(Settings):
-    """A compression test. Raises MeasurementError for values out of their limits."""
+    """A compression test. Raises MeasurementError for values outside their limits."""
 
     instrument: ClassVar[str] = "analyser"
     radius_m: Positive = Field(default=0.004, description="of the disc")
@@ -50,7 +50,7 @@ def apparent_modulus(shear_Pa: ArrayLike, bulk_Pa: ArrayLike, settings: Analyser
     if settings.faces == "frictionless":
         return np.asarray(young)
     argument = np.sqrt(12.0 * shear / bulk) * settings.radius_m / settings.height_m
-    # Scaled Bessel functions, because thin discs with a small K have arguments of thousands
+    # Scaled Bessel functions, because arguments are in the thousands for thin discs with a small K
     pressed = bulk * ive(2, argument) / ive(0, argument)
     # In a thin disc the pressure contributes K, and the deviator 4G/3 in place of E
     wide = bulk + 4.0 / 3.0 * shear

@@ -44,7 +44,7 @@ def surface_pressure(ka: float, cosine: ArrayLike) -> Complex:
 
 
 class Microphone(Settings):
-    """A microphone. Raises MeasurementError for values out of their limits."""
+    """A microphone. Raises MeasurementError for values outside their limits."""
 
     instrument: ClassVar[str] = "microphone"
     diameter_m: NonNegative = Field(default=0.0, description="diameter of the diaphragm; 0: a point")
@@ -65,8 +65,8 @@ class Microphone(Settings):
 def diaphragm_points(settings: Microphone, rings: int = 6) -> tuple[Float, Float]:
     """Return points of a diaphragm relative to its centre [m], shape (m, 3), and weights of sum 1, shape (m,).
 
-    Gauss-Legendre in the square of the radius and even angles; the error for a plane wave is 1e-6 up to k a = 6.
-    Raises MeasurementError for a facing of length 0.
+    The rule is Gauss-Legendre in the square of the radius, with evenly spaced angles. Its error for a plane wave is
+    1e-6 up to k a = 6. Raises MeasurementError for a facing of length 0.
     """
     facing = np.array(settings.facing)
     length = float(np.linalg.norm(facing))
@@ -137,9 +137,9 @@ def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> C
 
 
 def face_factor(settings: Microphone, wavenumber: float | None = None) -> float:
-    """Return the pressure rise of the face for sound from the front: 1 free, 2 with doubling, by `face_rise` for a
-    cylinder, which needs the wavenumber [rad/m]. Raises MeasurementError without it, and as `face_rise`.
-    """
+    """Return the pressure rise of the face for sound from the front: 1 free, 2 with doubling, or `face_rise`.
+
+    A cylinder needs the wavenumber [rad/m]. Raises MeasurementError without it, and as `face_rise`."""
     if settings.face == "cylinder":
         if wavenumber is None:
             raise MeasurementError(

@@ -11,7 +11,7 @@ from palmfield.errors import MeasurementError
 from palmfield.types import Float, Int
 
 LENGTH_RADII = 6.0
-"""Length of the cylinder; other lengths change the pressure at the face by 0.2 dB, by diffraction at the end."""
+"""Length of the cylinder over its radius; other lengths change the pressure at the face by 0.2 dB (diffraction)."""
 EDGES_A_RADIUS = 5
 EDGES_A_WAVE = 8.0
 MOST_KA = 6.0

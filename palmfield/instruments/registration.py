@@ -16,7 +16,7 @@ from palmfield.types import Float, Int
 
 ROUNDS = 60
 LEAST_DIRECTION = 1e-2
-"""A motion is determined by the surface if more than this share of the motion of the points is normal to it."""
+"""Share of the motion of the points normal to the surface above which the surface determines a rigid motion."""
 SETTLED_M = 1e-9
 
 
@@ -26,7 +26,7 @@ class Registration(NamedTuple):
     transform: transform from the frame of the scan to that of the surface; residual_m: distances from the surface,
     shape (n,)
     fiducials_m: distance of each fiducial from its partner, shape (k,), empty without fiducials
-    undetermined: number of rigid motions, of three shifts and three rotations, not determined by the surface
+    undetermined: number of the six rigid motions (three shifts, three rotations) that the surface does not determine
     turns: number of these that rotate the scan without a shift, 1 on a plane
     """
 
@@ -67,9 +67,8 @@ def to_surface(
     """Return the rigid motion near `begin` that moves points onto a mesh, and the numbers of undetermined directions
     (of six) and of undetermined rotations.
 
-    Distances along the surface normals, point to plane (Chen & Medioni 1992), are minimised by least squares until
-    convergence. Directions in which the points slide along the surface (on a plane two shifts and one rotation) are not
-    changed.
+    Least squares minimise the distances along the surface normals, point to plane (Chen & Medioni 1992), until
+    convergence. Motions by which the points slide along the surface (on a plane two shifts, one rotation) are not made.
     """
     points = np.asarray(points_m, dtype=float)
     across, _ = face_normals(np.asarray(vertices, dtype=float), np.asarray(faces))

@@ -22,9 +22,9 @@ WIDEST = 1.5
 """Largest real and imaginary part of fitted wavenumbers, as shares of pi over the pitch of the points."""
 LEAST_LOSS = 2e-3
 FLOOR = 2e-3
-"""Smallest assumed noise, as a share of the rms of the motion, so that scans from runs are not treated as exact."""
+"""Smallest assumed noise, as a share of the rms of the motion, so that simulated scans are not treated as exact."""
 APART = 0.25
-"""Distance of start points of a further ring, as a share of the wavenumber."""
+"""Spacing of the start points of a further ring, as a share of the wavenumber."""
 HIDDEN_SPAN, HIDDEN_APART = (0.35, 2.2), 0.2
 NEAREST_M = 1e-4
 """Smallest distance from the source, where rings are infinite."""
@@ -82,8 +82,8 @@ class _Field(NamedTuple):
 def ring_fits(scanned: Scanned) -> list[Rings]:
     """Return fits of 1, 2, ... rings, until two further rings do not lower the score, or up to MOST_RINGS.
 
-    Each fit starts from the rings of the fit before, either with a further ring at the STARTS wavenumbers of smallest
-    residual, or with one ring split in two, since a single ring fits between two similar waves.
+    Each fit starts from the rings of the previous fit. Either a further ring is added, at the STARTS wavenumbers of
+    smallest residual, or one ring is split in two, because a single ring fits between two similar waves.
     """
     fits: list[Rings] = []
     x = np.zeros(2)
@@ -102,9 +102,9 @@ def ring_fits(scanned: Scanned) -> list[Rings]:
 def hidden_change(scanned: Scanned, fit: Rings, number: int) -> float:
     """Return the largest change of the wavenumber of a ring by a wave hidden in the noise, relative to |k|.
 
-    A further ring of normal motion with the losses of the ring is added at wavenumbers around it, HIDDEN_APART from all
-    rings of the fit. To first order this shifts the wavenumber and changes its standard deviation. The result is the
-    largest root of the sum of squares of both.
+    A further ring of normal motion, with the losses of the ring, is added at wavenumbers around it, at least
+    HIDDEN_APART from all rings of the fit. To first order this shifts the wavenumber and changes its standard
+    deviation. The result is the largest root of the sum of squares of both.
     """
     k, source = _unpacked(scanned, fit.x)
     field = _field(scanned, k, source)

@@ -1,4 +1,4 @@
-"""Moving surface for instruments, from a skin solver's Motion or from a skin in a result file."""
+"""Moving surface for instruments, from the Motion of a skin solver or from a skin in a result file."""
 
 from typing import NamedTuple
 
@@ -13,16 +13,15 @@ from palmfield.skin.problem import Body, Motion, normals_on_face
 from palmfield.types import Float, Int
 
 CANDIDATES = 24
-"""Number of triangles with the nearest centres, among which the nearest triangle to a point is searched."""
+"""Number of triangles with the nearest centres among which the triangle nearest to a point is searched."""
 MILLIMETRES = 1e3
-"""Unit for trimesh, whose absolute tolerances suit numbers of this size."""
+"""Factor from metres to the unit for trimesh, which has absolute tolerances for such numbers."""
 
 
 class SurfaceMotion(NamedTuple):
     """Motion of points of a surface, in one frame.
 
-    times_s: rising [s], shape (t,); points: points at rest [m], shape (n, 3); normals: outward unit normals, shape (n,
-    3)
+    times_s: ascending [s], shape (t,); points: points at rest [m], normals: outward unit normals, both (n, 3)
     displacement_m: [m], velocity_m_s: [m/s], shape (t, n, 3)
     """
 
@@ -47,7 +46,7 @@ class Places(NamedTuple):
 
 
 def of_motion(motion: Motion, body: Body) -> SurfaceMotion:
-    """Return the motion of a skin solver, with the normals of the body's face."""
+    """Return the motion of a skin solver, with the normals of the face of the body."""
     return SurfaceMotion(
         np.asarray(motion.times_s, dtype=float), np.asarray(motion.points, dtype=float),
         normals_on_face(body, motion.points), motion.displacement_m, motion.velocity_m_s,

@@ -24,7 +24,7 @@ MOVES = 0.01
 
 
 class Vibrometer(Settings):
-    """Pose and settings of a vibrometer. Raises MeasurementError for values out of their limits."""
+    """Pose and settings of a vibrometer. Raises MeasurementError for values outside their limits."""
 
     instrument: ClassVar[str] = "vibrometer"
     incidence_deg: float = Field(default=0.0, ge=0, lt=90, description="angle of incidence of the beam to aim_m")

@@ -8,8 +8,8 @@ from typing import Literal
 class AmTable:
     """Contents of a file, comparable by value.
 
-    of: a period, which repeats, or a course, which keeps its last value; moments: rising turns from 0 to below 1, or
-    times since the start of the sound [s]; values: waveform at these moments, -1..1, linear between
+    of: "period" (it repeats) or "course" (it keeps its last value); moments: ascending turns, 0 <= turn < 1, or times
+    since the start of the sound [s]; values: waveform at these moments, -1..1, linear in between
     """
 
     of: Literal["period", "course"]

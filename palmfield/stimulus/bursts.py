@@ -11,7 +11,7 @@ from palmfield.types import Float
 
 MOST_BURSTS = 10_000_000
 TICK_s = 1e-9
-"""A jump less than this ahead is treated as passed, so that t = k * period_s is in burst k with any rounding."""
+"""Time before a jump [s] that counts as after it, so that t = k * period_s is in burst k with any rounding."""
 
 
 def burst(

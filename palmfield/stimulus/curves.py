@@ -12,7 +12,7 @@ from palmfield.types import Float
 
 MOST_TURNS = 1000
 CIRCLE_POINTS = 256
-"""An inscribed polygon of n sides is shorter than its circle by pi^2 / (6 n^2): 2.5e-5 here."""
+"""Number of corners of a circle; a polygon of n sides is shorter than its circle by pi^2 / (6 n^2): 2.5e-5 here."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class PlanePath:
     def pen_down(self, arc_m: ArrayLike) -> NDArray[np.bool_]:
         """Return whether the path draws at arc lengths [m], shape (k,); False on the straight moves between strokes.
 
-        Lifts have an arc length like strokes; to make them fast, increase the speed there with the sound off.
+        Lifts have an arc length like strokes. To make them fast, increase the speed during a lift, with the sound off.
         """
         arc = folded(arc_m, self.length_m, self.closed)
         if self.lifted is None:

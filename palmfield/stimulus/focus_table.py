@@ -14,7 +14,7 @@ TableFrame = Literal["array", "skin", "world"]
 Quantity = Literal["duty", "amplitude", "arp"]
 Between = Literal["held", "linear"]
 SOONER_S = 1e-9
-"""A row less than this ahead is treated as reached, like ticks of `schedule`."""
+"""Time before a row [s] that counts as its time, like ticks of `schedule`."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 MOST_ROWS, MOST_FOCI = 1_000_000, 32
 HIGHEST_RATE_HZ = 40e3
 OFF_SAMPLE = 0.02
-"""Largest deviation of the time of a row from a whole number of samples; it allows times written with few digits."""
+"""Largest deviation of the time of a row from a whole number of samples; it allows times with few digits."""
 
 
 def focus_table(

@@ -51,9 +51,9 @@ GLYPHS = {
 
 
 def strokes(text: str) -> list[Float]:
-    """Return the strokes of a text in writing order, each of shape (n, 2), in units of the height of the letters. Small
-    letters are written as capitals. The text begins at x = 0 with its baseline at y = 0.
+    """Return the strokes of a text in writing order, each of shape (n, 2), in units of the height of the letters.
 
+    Small letters are written as capitals. The text begins at x = 0 with its baseline at y = 0.
     Raises SceneError for a text without letters, and for characters other than A-Z, 0-9 and the blank.
     """
     polylines: list[Float] = []

@@ -10,7 +10,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its submodules at first use
 
 from palmfield.config import StimulusConfig
 from palmfield.errors import SceneError
@@ -24,8 +24,8 @@ ROUNDING = 1e-9
 SILENT = 1e-9
 """Share of full drive below which an amplitude is treated as silence."""
 HARMONIC = 0.1
-"""Smallest main frequency relative to the largest line of the ARP, each divided by its frequency because the response
-of the skin decreases with frequency. A square wave of 200 Hz needs 600 Hz; a layer for 1 kHz differs by 0.2 %."""
+"""Least size of a line of the ARP that is a main frequency, over the largest. Sizes are divided by the frequency, as
+the response of the skin decreases with it. A square wave of 200 Hz needs 600 Hz; a layer for 1 kHz differs by 0.2 %."""
 MOST_HARMONICS = 8
 HIGHEST_HZ = 1000.0
 """Highest main frequency; above it the skin hardly responds, and there is no sensation."""
@@ -140,7 +140,7 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
         raise _too_loud(config, f"pulses with duty above {FULL_DUTY:g}, the maximum", math.sqrt(most))
     if amplitude**2 >= most:
         return FULL_DUTY
-    # At half the amplitude even the loudest moment has a quarter of the target ARP
+    # At half the amplitude, even the loudest moment has only a quarter of the target ARP
     peak = scipy.optimize.brentq(
         lambda peak: mean_arp(peak) - amplitude**2, 0.5 * amplitude, 1.0, xtol=ROUNDING * amplitude
     )
@@ -148,7 +148,7 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
 
 
 def _too_loud(config: StimulusConfig, required: str, limit: float) -> SceneError:
-    """Return the error; limit: largest allowed drive_amplitude."""
+    """Return the error for a level above full drive; limit: largest allowed drive_amplitude."""
     of = {"carrier": "the carrier's", "mean": "the amplitude of steady sound with the same mean ARP"}[
         config.am_normalisation
     ]
@@ -183,7 +183,7 @@ def _mean(am: Modulation, period: Samples) -> float:
 
 def _lines(am: Modulation, period: Samples, frequencies: Sequence[float]) -> Float:
     """Return the peak amplitudes of lines relative to the ARP of the loudest moment, shape (k,)."""
-    # Difference of the ARP from its carrier's, so that the pause between bursts contributes zero
+    # Difference of the ARP from that of the carrier, so that the pause between bursts contributes 0
     course = period.weights * (relative_arp(am, period.values) - relative_arp(am, np.zeros(1)))
     return np.array([2.0 * abs(course @ np.exp(-2j * np.pi * f * period.times)) for f in frequencies])
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from palmfield.config import StimulusConfig
 
-if TYPE_CHECKING:  # imported at use: few stimuli have data in files
+if TYPE_CHECKING:  # imported at first use: few stimuli have data in files
     from palmfield.stimulus.am_table import AmTable
     from palmfield.stimulus.focus_table import FocusTable
 

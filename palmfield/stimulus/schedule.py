@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from palmfield.stimulus.focus_table import FocusTable
 
 SPOT_M = 0.0103
-"""Width of a typical focus, for the frequencies that a moving focus excites."""
+"""Width of a typical focus [m], for the frequencies that a moving focus excites."""
 TICK_S = 1e-12
 """Times closer to each other than this are equal."""
 KEPT = 4096
 """Number of cached configurations, enough for many worlds with different ones."""
 TABLE_SAMPLES, MOST_TABLE_SAMPLES, TABLE_PLACES = 1024, 1 << 16, 8
-"""Number of times of a table of foci, and of points on their paths, from which its frequencies are estimated."""
+"""Least and largest number of times of a table of foci, and number of points on its paths, for its frequencies."""
 MOST_TURNS = 1000
 """Largest number of turns of a path until its level repeats; longer repetitions are approximated by a shorter one."""
 LM_SAMPLES = 512
@@ -248,7 +248,7 @@ def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
         foci[:, 0] = arcs
         foci[:, 1:] = 0.0
     elif config.path == "circle":
-        # An exact circle; the polygon is for drawn paths
+        # The circle is exact here; the polygon is for drawn paths
         angle = (2.0 * math.pi / timing.length_m) * arcs
         foci[:, 0] += timing.radius_m * np.cos(angle)
         foci[:, 1] += timing.radius_m * np.sin(angle)

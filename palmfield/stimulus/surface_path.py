@@ -21,7 +21,7 @@ REACH_m = 0.02
 """Largest distance of a start or waypoint from the surface; beyond it an error is raised."""
 
 TOUCH_m = 1e-9
-"""Distance at which a path has reached the edge of an open mesh: far above rounding errors, far below sizes of skin."""
+"""Distance [m] at which a path has reached the edge of an open mesh: far above rounding, far below sizes of skin."""
 
 ALONG = 1e-9
 """Sine of the angle to an edge below which a path is parallel to it and does not reach it."""
@@ -112,9 +112,8 @@ class _Place:
 def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: PlanePath) -> SurfacePath:
     """Draw a plane path on a surface, segment by segment along straight lines of the mesh.
 
-    start_point: position of the origin of the plane of the path [m], shape (3,), moved to the nearest point of the
-    surface.
-        From there a straight line, which is not drawn, goes to the first point of the path.
+    start_point: origin of the plane of the path [m], shape (3,), moved to the nearest point of the surface. From there
+        a straight line, which is not drawn, goes to the first point of the path.
     direction: +x of the path, shape (3,), of any length; projected to the tangent plane. +y is 90 degrees
         counter-clockwise from it, seen from outside.
     An open path keeps its arc lengths. A closed path would not meet its start on curved skin. Its turning is therefore
@@ -350,7 +349,7 @@ def _skin_path(surface: Surface, piece: Piece, closed: bool) -> SurfacePath:
     segments, places = piece
     points = np.array(places)
     faces = np.array([*segments, segments[-1]], dtype=np.int32)
-    # The default method squares lengths and loses digits on slivers: an error of 5e-9 in a weight was observed
+    # The default method squares lengths and loses digits on thin triangles: a weight had an error of 5e-9
     weights = points_to_barycentric(surface.vertices[surface.faces[faces]], points, method="cross")
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return SurfacePath(faces, weights, np.concatenate([[0.0], np.cumsum(steps)]), closed)

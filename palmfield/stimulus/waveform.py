@@ -5,7 +5,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its submodules at first use
 
 from palmfield.config import StimulusConfig
 from palmfield.types import Float
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from palmfield.stimulus.am_table import AmTable
 
 EDGE_S = 1e-9
-"""A jump less than this ahead is treated as passed, so that t = k / rate is in period k with any rounding."""
+"""Time before a jump [s] that counts as after it, so that t = k / rate is in period k with any rounding."""
 SAMPLES, A_CYCLE = 4096, 16
 """Smallest number of samples of a waveform in `samples`, and of each period of the sine in a burst."""
 

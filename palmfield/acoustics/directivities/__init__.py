@@ -1,4 +1,4 @@
-"""Amplitude of transducers off their axes. Each file here defines one form as `FORM`, with the name of the file."""
+"""Amplitude of transducers off their axes. Each file here defines one form as `FORM`; its name is that of the file."""
 
 from functools import lru_cache
 from importlib import import_module

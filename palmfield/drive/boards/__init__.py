@@ -1,4 +1,4 @@
-"""Boards of a drive. A board is a module of this package with a `BOARD`; key `board` of palmfield.driver names it."""
+"""Boards. Each board is a module of this package with a `BOARD`; key `board` of palmfield.driver is its name."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -14,7 +14,7 @@ from palmfield.errors import DeviceError, refuse_unknown
 
 
 class _Boards(Mapping[str, Board]):
-    """A board has the name of its file, which is loaded when the board is first taken: a scene has one of them."""
+    """Boards by the name of their file; a file is loaded at first use, because a scene has only one board."""
 
     def __init__(self) -> None:
         self._names = sorted(module.name for module in iter_modules(__path__))
@@ -37,20 +37,20 @@ BOARDS = _Boards()
 
 
 def board_named(name: str) -> Board:
-    """Return the board of a name. Raises DeviceError for an unknown one."""
+    """Return the board of this name. Raises DeviceError for an unknown name."""
     refuse_unknown(DeviceError, "board {} is unknown", name, BOARDS)
     return BOARDS[name]
 
 
 def playable_board(name: str) -> Board:
-    """Return the board of a name, if it takes bytes. Raises DeviceError for others, naming those that do."""
+    """Return the board of this name, if it has bytes. Raises DeviceError, with the allowed names, for other names."""
     with_line = [board.name for board in BOARDS.values() if not board.exact]
     refuse_unknown(DeviceError, "board {} is unknown", name, with_line)
     return board_named(name)
 
 
 def boards_for(frame_rate_Hz: float, modulated: bool, *, several_foci: bool = False) -> list[str]:
-    """Return boards of one array that take so many frames a second, and levels if requested; ideal is the last.
+    """Return names of boards of one array for this frame rate, with levels if `modulated`; ideal is the last.
 
     several_foci: whether frames contain several foci
     """
@@ -65,11 +65,11 @@ def boards_for(frame_rate_Hz: float, modulated: bool, *, several_foci: bool = Fa
 def board_of(
     driver: DriverConfig, transducers: int, *, calibrated: bool = False, address: ArrayLike | None = None
 ) -> Board:
-    """Return the board for the keys of palmfield.driver, with the number of units for so many transducers.
+    """Return the board for the keys of palmfield.driver, with the units for this number of transducers.
 
     calibrated: whether the transducers of an array were measured, so that a driver can correct them
-    address: place of each transducer in the byte order of the board, shape (transducers,); None for that of the layout
-    Raises DeviceError if the board cannot drive so many transducers, and for a key that the board does not have.
+    address: place of each transducer in the byte order of the board, shape (transducers,); None: order of the layout
+    Raises DeviceError if the board cannot drive this number of transducers, and for a key that it does not have.
     """
     board = board_named(driver.board)
     shared = {"duty_exponent": driver.duty_exponent} if "duty_exponent" in board.keys else {}

@@ -1,8 +1,8 @@
-"""Packets of Hasegawa & Shinoda's 2018 units: place of the focus and pulse width, every 500 us.
+"""Packets of the units of Hasegawa & Shinoda 2018: place of the focus and pulse width, every 500 us.
 
-Units compute the phases themselves: a packet contains x, y, z (16 bits each, signed) and the pulse width (9 bits, 0 to
-320 ticks of a period's 640). Values that the paper does not give are keys of the scene with the default of `Autd2018`
-here: header, footer, the order of bits and the lowest bit of a coordinate.
+Units compute the phases themselves. A packet contains x, y, z (16 bits each, signed) and the pulse width (9 bits, 0 to
+320 of the 640 ticks of a period). Values that the paper does not give are keys of the scene, with defaults in
+`Autd2018`: header, footer, the order of bits and the lowest bit of a coordinate.
 """
 
 import math
@@ -30,22 +30,20 @@ FIELDS = (COORDINATE_BITS, COORDINATE_BITS, COORDINATE_BITS, WIDTH_BITS)
 PAYLOAD_BITS = sum(FIELDS)
 MOST = 2 ** (COORDINATE_BITS - 1) - 1
 CHILDREN = 3
-"""Number of units to which each one passes packets."""
+"""Number of units to which each unit passes packets."""
 LAYOUT_OF_UNITS = {1: "autd2018", 4: "autd2018_2x2"}
 
 
 @dataclass(frozen=True)
 class Autd2018(Board):
-    """The board of the paper. packet_header, packet_footer: bits, as text; packet_bit_order: bit order of each field;
-    packet_lsb_m: value of the lowest bit of a coordinate [m]
-    packet_baud: baud rate of the serial line to the first unit, not given in the paper; the default is the lowest
-    usual rate
-        that carries 2,000 packets a second
+    """The board of the paper. packet_header, packet_footer: bits, as text; packet_bit_order: bit order of each field.
+
+    packet_lsb_m: value of the lowest bit of a coordinate [m]. packet_baud: baud rate of the serial line to the first
+        unit, not given in the paper; default: the lowest usual rate for 2,000 packets per second
     duty_exponent, pwm_edge: see `palmfield.drive.pulse_width`
-    hop_delay_s: hop delay of each unit that a packet passes [s]; skew_s: largest difference between units after the
-    sync
-    clock_drift_ppm: largest difference of units' clocks; sync: whether clocks are set every 500 us
-    board_sound_speed_m_s: used by units to compute phases [m/s]
+    hop_delay_s: delay by each unit that a packet passes [s]; skew_s: largest difference between units after the sync
+    clock_drift_ppm: largest difference between clocks of units; sync: whether clocks are set every 500 us
+    board_sound_speed_m_s: speed of sound with which units compute phases [m/s]
     """
 
     packet_header: str = "10100101"
@@ -74,7 +72,7 @@ class Autd2018(Board):
         return super().with_keys(keys).ready()
 
     def ready(self) -> "Autd2018":
-        """Return this board with the line and silence bytes of its keys. Raises DeviceError for too slow a line."""
+        """Return this board with the line and silence bytes for its keys. Raises DeviceError for a line too slow."""
         off = self.packet((0, 0, 0, 0))
         line = serial_line(self.packet_baud)
         if line.bytes_per_s < PACKET_RATE_HZ * len(off):
@@ -86,7 +84,7 @@ class Autd2018(Board):
         return replace(self, line=line, start=off, stop=off)
 
     def packet(self, numbers: tuple[int, ...]) -> bytes:
-        """Return the bytes of one packet: header, fields and footer, filled up with 0 to whole bytes."""
+        """Return the bytes of one packet: header, fields and footer, padded with 0 to whole bytes."""
         bits = self.packet_header
         for number, size in zip(numbers, FIELDS, strict=True):
             field = format(number & (2**size - 1), f"0{size}b")
@@ -143,7 +141,7 @@ class Autd2018(Board):
         return self.hop_delay_s * depth + self.skew_s * spread + drift * since_sync_s
 
     def focused(self, focus: Float, width: int, since_sync_s: float = 0.0) -> Complex:
-        """Emission of units for a focus [m] and a pulse width in ticks, relative to full drive, shape (n,)."""
+        """Return the emission for a focus [m] and a pulse width in ticks, relative to full drive, shape (n,)."""
         ticks = np.rint(
             -HASEGAWA_TICKS * CARRIER_HZ * np.linalg.norm(focus - self.positions, axis=1) / self.board_sound_speed_m_s
         )
@@ -156,7 +154,7 @@ class Autd2018(Board):
 
 
 def _depth(unit: int) -> int:
-    """Return the hops to a unit of a tree in which each passes packets on to three."""
+    """Return the number of hops to a unit in a tree in which each unit passes packets to CHILDREN others."""
     depth = 0
     while unit > 0:
         unit, depth = (unit - 1) // CHILDREN, depth + 1
@@ -164,9 +162,7 @@ def _depth(unit: int) -> int:
 
 
 class Autd2018Twin(Twin):
-    """Units that change at the sync after a packet. Silent at power-up; after a lost packet they keep the last
-    focus.
-    """
+    """Units that change at the sync after a packet. Silent at power-up; after a lost packet the last focus stays."""
 
     def __init__(self, board: Autd2018) -> None:
         self._size = len(board.packet((0, 0, 0, 0)))
@@ -182,7 +178,7 @@ class Autd2018Twin(Twin):
         return self.at(self.time_s)
 
     def at(self, time_s: float) -> Complex:
-        """Return the emission at a time [s] with the present packet: without sync clocks drift meanwhile."""
+        """Return the emission at a time [s] with the present packet; without sync the clocks have drifted."""
         since_s = time_s % PERIOD_S if self.board.sync == "on" else time_s
         focus, width = self._state
         return self.board.focused(focus, width, since_s)

@@ -1,6 +1,6 @@
 """Phase and intensity bytes of AUTD3 units, and the corresponding pulse widths.
 
-The bytes are a pattern of AUTD3's own software, the phases of one unit and then its intensities, unit after unit;
+The bytes are a pattern of the AUTD3 software: phases of one unit, then its intensities, unit after unit.
 `palmfield.drive.autd3_units` sends them to real units.
 """
 
@@ -18,7 +18,7 @@ TRANSDUCERS = 249
 STEPS = 256
 FRAME_BYTES = 2 * TRANSDUCERS
 FRAME_RATE_HZ = 1000.0
-"""A frame each millisecond of the EtherCAT cycle."""
+"""One frame per EtherCAT cycle of 1 ms."""
 WATCHDOG_S = 0.5
 MOST_UNITS = 8
 
@@ -36,9 +36,9 @@ def emitted_by(phase: ArrayLike, intensity: ArrayLike) -> Complex:
 
 
 LEVELS: Float = np.sin(np.pi * pulse_widths(np.arange(AUTD3_LEVELS + 1)) / AUTD3_TICKS)
-"""Amplitude for each intensity."""
+"""Amplitude of each intensity."""
 LOWEST = np.unique(LEVELS, return_index=True)[1]
-"""Intensities that differ in their pulse, the lowest of each."""
+"""Lowest intensity of each pulse width."""
 BETWEEN = 0.5 * (LEVELS[LOWEST][1:] + LEVELS[LOWEST][:-1])
 """Amplitudes above which the next of LOWEST is nearer."""
 
@@ -46,8 +46,8 @@ BETWEEN = 0.5 * (LEVELS[LOWEST][1:] + LEVELS[LOWEST][:-1])
 @dataclass(frozen=True)
 class Autd3(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """498 bytes a unit: 249 phases round(256 arg / 2 pi) mod 256, then 249 intensities, each the lowest intensity
-        whose pulse is closest to the amplitude."""
+        """Return 498 bytes per unit: 249 phases round(256 arg / 2 pi) mod 256, then 249 intensities, each the lowest
+        intensity whose pulse is closest to the amplitude."""
         values = commanded(self, amplitudes)
         phase = phase_codes(np.exp(1j * np.angle(values)), STEPS)
         intensity = LOWEST[np.searchsorted(BETWEEN, np.abs(values))]
@@ -68,9 +68,9 @@ class Autd3(Board):
 
 
 class Autd3Twin(Twin):
-    """Units that take a whole frame at once and become silent half a second after the last one. Silent at power-up.
+    """Units that change with a whole frame and become silent half a second after the last frame. Silent at power-up.
 
-    Its silencer, which spreads a change over about ten periods, is off.
+    The silencer, which spreads a change over about ten periods, is off.
     """
 
     def __init__(self, units: int, frame_s: float) -> None:

@@ -1,4 +1,4 @@
-"""No board: every amplitude and phase at once, as a simulation may."""
+"""No board: every amplitude and phase, without delay, as in a simulation."""
 
 from palmfield.drive.board import Board
 

@@ -1,4 +1,4 @@
-"""Frames of OpenMPD's boards (AcoustophoreticBoard): a phase and a pulse width for each of 256 transducers."""
+"""Frames of OpenMPD boards (AcoustophoreticBoard): a phase and a pulse width for each of 256 transducers."""
 
 import math
 from collections import deque
@@ -26,10 +26,10 @@ OFF_FRAME = bytes([FIRST]) + bytes(FRAME_BYTES - 1)
 @dataclass(frozen=True)
 class OpenMpd(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """Return 512 bytes: 256 phases, of which the first has 0x80 added, then 256 pulse widths.
+        """Return 512 bytes: 256 phases, the first with 0x80 added, then 256 pulse widths.
 
-        A pulse starts at its phase. The phase is moved so that the middle of the pulse stays at the middle of a pulse
-        of half a period.
+        A pulse starts at its phase. The phase is shifted so that the middle of the pulse is the middle of a pulse of
+        half a period.
         """
         values = commanded(self, amplitudes)
         width = widths(np.minimum(np.abs(values), 1.0), STEPS)
@@ -47,7 +47,7 @@ class OpenMpd(Board):
 
 
 class OpenMpdTwin(Twin):
-    """Delays 32 frames and plays one every four carrier periods; the last one continues. Silent at power-up."""
+    """Twin that delays 32 frames and plays one every four carrier periods; the last continues. Silent at power-up."""
 
     def __init__(self) -> None:
         super().__init__(TRANSDUCERS, 1.0 / LINE.bytes_per_s)
@@ -67,7 +67,7 @@ class OpenMpdTwin(Twin):
             piece = data[position : position + FRAME_BYTES - len(self._frame)]
             first = next((n for n, byte in enumerate(piece) if byte >= FIRST and (n or self._frame)), None)
             if first is not None:
-                # A new frame begins before the last one is complete
+                # A new frame begins before the last frame is complete
                 self.time_s = begin + (position + first) * self.byte_s
                 self.flag("garbled", f"dropped an incomplete frame of {len(self._frame) + first} bytes")
                 self._frame.clear()
@@ -104,7 +104,7 @@ class OpenMpdTwin(Twin):
 
 
 def pulses_of(frame: NDArray[np.uint8]) -> Complex:
-    """First harmonic of a frame's pulses relative to half a period's that starts at phase 0, shape (256,)."""
+    """Return the first harmonic of the pulses of a frame over that of half a period from phase 0, shape (256,)."""
     start, width = frame[:TRANSDUCERS] % STEPS, frame[TRANSDUCERS:].astype(float)
     return np.sin(np.pi * width / STEPS) * np.exp(2j * np.pi * (start + 0.5 * (width - HALF)) / STEPS)
 

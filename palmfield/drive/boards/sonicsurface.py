@@ -1,4 +1,4 @@
-"""Bytes of the SonicSurface board (256 emitters, 230400 baud, 50 % duty) and its emission for them.
+"""Bytes of the SonicSurface board (256 emitters, 230400 baud, 50 % duty) and the resulting emission.
 
 The protocol and the buffers follow the open firmware of the board (upnalab/SonicSurface, `Distribute.vhd`,
 `PhaseLine.vhd`); the one-step lag of every eighth address was found by a simulation of that firmware.
@@ -30,10 +30,10 @@ FRAME_BYTES = EMITTERS + 2
 FRAME_RATE_HZ = 1.0 / LINE.time_s(FRAME_BYTES)
 OFF_FRAME = bytes([START]) + bytes([OFF]) * EMITTERS + bytes([SWAP])
 OFF_SEQUENCE = 2 * (bytes([START_CLOCKS, PRIMARY]) + OFF_FRAME)
-"""Resets the state left by a program: stopped clocks, the other board selected, a cut frame, a full second buffer."""
+"""Bytes that reset the state left by a program: stopped clocks, other board selected, cut frame, full second buffer."""
 
 LAG: Float = (np.arange(EMITTERS) % 8 == 3).astype(np.float64)
-"""Lag of each address in steps."""
+"""Lag of each address in phase steps."""
 SECONDARY_LAG = 16.5
 CARRIER_HZ = 40e3
 PIECES = re.compile(rb"[\x96\x97\xc0\xc1\xfd\xfe]|[^\x96\x97\xc0\xc1\xfd\xfe]+")
@@ -57,10 +57,10 @@ class SonicSurface(Board):
 
 
 class BufferedTwin(Twin):
-    """A firmware of two buffers and a byte counter, without reply.
+    """Twin of a firmware with two buffers and a byte counter, without reply.
 
     A swap *exchanges* the buffers. So after a short frame the missing addresses play their values of two frames before.
-    Data beyond 256 bytes is flagged and dropped, as the reaction of the board is undefined.
+    Data beyond 256 bytes is flagged and dropped, because the reaction of the board is undefined.
     """
 
     def __init__(self, line: Line, pieces: re.Pattern[bytes], first: int) -> None:
@@ -73,7 +73,7 @@ class BufferedTwin(Twin):
 
     @abstractmethod
     def execute(self, command: int) -> bool | None:
-        """Execute a command that is neither start nor swap. Returns whether the emission changes; None for data."""
+        """Execute a command that is neither start nor swap. Return whether the emission changes; None for data."""
 
     def take(self, data: bytes) -> list[Emitted]:
         changes = []
@@ -92,7 +92,7 @@ class BufferedTwin(Twin):
         return changes
 
     def _store(self, piece: bytes) -> None:
-        """Store data in the hidden buffer from the address of the counter on."""
+        """Store data in the hidden buffer, from the address of the counter on."""
         room = EMITTERS - self._counter
         values = np.frombuffer(piece[:room], dtype=np.uint8)
         self._back[self._counter : self._counter + len(values)] = np.where(values == OFF, OFF, values % OFF)
@@ -105,7 +105,7 @@ class SonicSurfaceTwin(BufferedTwin):
     """One SonicSurface with the behaviour of its firmware.
 
     Both buffers hold phase 0 at power-up, so all 256 emitters sound before the first frame.
-    secondary: True for the second board of a pair, which takes the data after 193 and lags by 16.5 steps.
+    secondary: True for the second board of a pair: its data come after byte 193, and it lags by 16.5 steps.
     """
 
     def __init__(self, secondary: bool = False) -> None:
@@ -118,14 +118,14 @@ class SonicSurfaceTwin(BufferedTwin):
 
     @property
     def emitted(self) -> Complex:
-        """Zero while clocks are stopped: pins that are high then are a DC load, without sound."""
+        """Present emission, zero while clocks are stopped: pins that are high then are a DC load, without sound."""
         if not self._clocks:
             return np.zeros(EMITTERS, dtype=np.complex128)
         wave = np.exp(2j * np.pi * (self._front + self.lag) / STEPS)
         return np.where(self._front == OFF, 0.0, wave)
 
     def execute(self, command: int) -> bool | None:
-        """Obey a command; data and starts for the other board of a pair change nothing."""
+        """See BufferedTwin. Data and starts for the other board of a pair have no effect."""
         if command in (STOP_CLOCKS, START_CLOCKS):
             return self._clock(command == START_CLOCKS)
         if command in (PRIMARY, SECONDARY):
@@ -134,7 +134,7 @@ class SonicSurfaceTwin(BufferedTwin):
         return None if self._selected else False
 
     def _clock(self, runs: bool) -> bool:
-        """Return zero while clocks are stopped: pins that are high then are a DC load, without sound."""
+        """Start or stop the clocks, flag pins that stay high (DC); return whether the emission changes."""
         was, self._clocks = self._clocks, runs
         if runs:
             self.pins_high[:] = False

@@ -1,7 +1,7 @@
-"""Two SonicSurface boards chained on one line, the second one above, facing the first.
+"""Two SonicSurface boards on one line; the second is above and faces the first.
 
-The site of the second array is rotated by half a turn about the x axis of the first (quat="0 1 0 0"). In the vendor's
-frame its board has the mirrored map x' = -z, z' = -x, which in the frame of that site is a quarter turn of the grid.
+The site of the second array is rotated by half a turn about the x axis of the first (quat="0 1 0 0"). In the frame of
+the vendor its board has the mirrored map x' = -z, z' = -x. In the frame of the site this is a quarter turn of the grid.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ FRAME_BYTES = 2 * (EMITTERS + 2) + 1
 
 
 def _downward() -> np.ndarray:
-    """For each address of the downward board its row in layout `sonicsurface`, in its site's frame."""
+    """Return the row in layout `sonicsurface`, in the frame of the site, of each address of the downward board."""
     by_site = sonicsurface_order().reshape(16, 16)  # rows along +y, columns along +x
     # An address at (x, y) on the upward board is at (y, -x) on the downward board
     turned = by_site[:, ::-1].T

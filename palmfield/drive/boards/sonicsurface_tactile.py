@@ -1,6 +1,6 @@
-"""The second firmware of the SonicSurface, "FPGA tactile modulation", which is for haptics.
+"""Second firmware of the SonicSurface, "FPGA tactile modulation", for haptics.
 
-It switches the emitters in turn, which makes an envelope whose rate is set by a byte. 150, 151, 192 and 193 are data.
+It switches the emitters one after another, which makes an envelope. A byte sets its rate. 150, 151, 192, 193 are data.
 """
 
 import re
@@ -19,7 +19,7 @@ STEPS = 16
 DUTY = 7 / 16
 UART_SLOW = 0.035
 LINE = Line(23040.0 * (1.0 - UART_SLOW), round(230400 * (1.0 - UART_SLOW)))
-"""Its receiver is 3.5 % slow, so the port is opened at its own rate."""
+"""Line at the rate of the receiver, which is 3.5 % slow."""
 RATE = 160
 RATES = 32
 ENVELOPE_TOP_HZ = 1250.0
@@ -29,16 +29,16 @@ OFF_FRAME = bytes([START]) + bytes([OFF]) * EMITTERS + bytes([SWAP])
 LEVEL = float(relative_pressure(DUTY))
 PIECES = re.compile(rb"[\xa0-\xbf\xfd\xfe]|[^\xa0-\xbf\xfd\xfe]+")
 CLOSE = 0.01
-"""An envelope within 1 % of the requested rate is accepted."""
+"""Largest relative difference of the envelope from the requested rate."""
 
 
 def envelope_Hz(number: int) -> float:
-    """Return the rate of the envelope that byte 160 + number sets [Hz]."""
+    """Return the rate of the envelope for byte 160 + number [Hz]."""
     return ENVELOPE_TOP_HZ / (number + 1)
 
 
 def envelope_byte(frequency_Hz: float) -> int:
-    """Return the byte that sets an envelope. Raises DeviceError if none is within 1 % of the frequency [Hz]."""
+    """Return the byte for an envelope. Raises DeviceError if no rate is within 1 % of the frequency [Hz]."""
     rates = np.array([envelope_Hz(number) for number in range(RATES)])
     nearest = int(np.abs(np.log(rates / max(frequency_Hz, 1e-9))).argmin())
     if abs(rates[nearest] / max(frequency_Hz, 1e-9) - 1.0) > CLOSE:
@@ -67,7 +67,7 @@ class SonicSurfaceTactile(Board):
 
 
 class TactileTwin(BufferedTwin):
-    """A twin of this firmware. Amplitudes are those while an emitter is on. envelope_Hz: rate of the turns [Hz]"""
+    """Twin of this firmware. Amplitudes are those while an emitter is on. envelope_Hz: rate of the envelope [Hz]"""
 
     def __init__(self) -> None:
         super().__init__(LINE, PIECES, OFF)
@@ -75,7 +75,7 @@ class TactileTwin(BufferedTwin):
 
     @property
     def emitted(self) -> Complex:
-        """Relative to full drive of half a period's pulses."""
+        """Present emission, relative to full drive with pulses of half a period."""
         wave = LEVEL * np.exp(2j * np.pi * (self._front // 2) / STEPS)
         return np.where(self._front == OFF, 0.0, wave)
 

@@ -1,8 +1,8 @@
-"""Ultraino's Arduino Mega boards: 64 signals each, as bits of ten ports in ten divisions of a carrier period.
+"""Arduino Mega boards of Ultraino: 64 signals each, as bits of ten ports in ten divisions of a carrier period.
 
-Wiring and commands follow the boards' open firmware and host (asiermarzo/Ultraino, `DriverMEGA.ino`, `ArduinoMEGA64`).
-Boards are chained: each takes the bytes whose lower nibble is 1 and forwards others with that nibble one less.
-"""
+Wiring and commands follow the open firmware and host of the boards (asiermarzo/Ultraino, `DriverMEGA.ino`,
+`ArduinoMEGA64`). Boards are chained: each uses the bytes with lower nibble 1, and forwards others with that nibble
+reduced by one."""
 
 from dataclasses import dataclass, replace
 
@@ -24,14 +24,14 @@ SWITCH = 0x00
 COMMIT = 0x10
 DURATION = 0x30
 ONE_PERIOD_THEN_AGAIN = bytes([DURATION, DURATION, DURATION, DURATION | 0x40] + 4 * [DURATION])
-"""Durations 1 and 0, four bytes each with two bits in front: one pattern, repeated."""
+"""Durations 1 and 0 as four bytes each, with two bits in front: one pattern, repeated."""
 
 PORT_MAPPING: NDArray[np.int64] = np.array([
     51, 52, 53, 54, 28, 29, 30, 31, 47, 46, 45, 44, 43, 42, 41, 40, 56, 57, 58, 59, 48, 49, 72, 69, 39, 38, 37, 36, 35,
     34, 33, 32, 21, 23, 65, 63, 9, 11, 13, 15, 20, 22, 64, 66, 8, 10, 12, 14, 24, 25, 26, 27, 16, 17, 18, 19, 7, 6, 5,
     4, 3, 2, 1, 0,
 ])  # fmt: skip
-"""Port of each signal, times 8, and its bit there."""
+"""Port of each signal times 8, plus its bit in the port."""
 PHASE_COMPENSATION: NDArray[np.int64] = np.zeros(SIGNALS, dtype=np.int64)
 """Delay of each signal in divisions; zero in the present version of the host."""
 TURNS = np.exp(2j * np.pi * np.arange(DIVISIONS) / DIVISIONS)
@@ -39,7 +39,7 @@ FULL = TURNS[: DIVISIONS // 2].sum()
 
 
 def waveforms(amplitudes: Complex) -> NDArray[np.uint8]:
-    """Return the levels of each signal in each division, shape (n, 10): pulses are narrowed about a fixed middle."""
+    """Return the levels of each signal in each division, shape (n, 10); narrower pulses have the same middle."""
     width = widths(np.minimum(np.abs(amplitudes), 1.0), DIVISIONS)
     slack = 0.5 * (DIVISIONS // 2 - width)
     start = np.rint(DIVISIONS * np.angle(amplitudes) / (2 * np.pi) + slack).astype(np.int64)
@@ -49,9 +49,7 @@ def waveforms(amplitudes: Complex) -> NDArray[np.uint8]:
 
 
 def pattern(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Bytes of the ports, one division after the other, shape (100,); levels: levels of a board's signals, shape (64,
-    10).
-    """
+    """Return the bytes of the ports of a board, division by division, (100,); levels: of its signals, (64, 10)."""
     pins = np.zeros((DIVISIONS, 8 * PORTS), dtype=np.uint8)
     pins[:, PORT_MAPPING] = levels.T
     return np.packbits(pins, axis=1, bitorder="little").ravel()
@@ -67,7 +65,7 @@ def frame(patterns: NDArray[np.uint8]) -> bytes:
 @dataclass(frozen=True)
 class Ultraino(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """Return two bytes for each of a board's 100, eight of durations, commit and switch: 210 for one board."""
+        """Return two bytes for each of 100 per board, eight of durations, commit and switch: 210 for one board."""
         levels = waveforms(commanded(self, amplitudes)).reshape(self.units, SIGNALS, DIVISIONS)
         return frame(np.stack([pattern(part) for part in levels]))
 
@@ -103,7 +101,7 @@ class UltrainoTwin(Twin):
 
     @property
     def emitted(self) -> Complex:
-        """First harmonic of the waveforms, relative to half a period's pulse from division 0 on."""
+        """First harmonic of the waveforms, relative to that of a pulse of half a period from division 0 on."""
         ports = self._front[:, :PATTERN].reshape(-1, DIVISIONS, PORTS)
         levels = (ports[:, :, PORT_MAPPING // 8] >> (PORT_MAPPING % 8).astype(np.uint8)) & 1
         turns = TURNS[:, None] * np.exp(-2j * np.pi * PHASE_COMPENSATION / DIVISIONS)

@@ -1,10 +1,10 @@
-"""Estimate polarity, phase and gain of each transducer from its sound alone, at several places of a microphone.
+"""Estimate polarity, phase and gain of each transducer from its own sound, at several places of a microphone.
 
 The pressure of transducer n at place m is G_n D(angle) e^{b1 s + b2 s^2} e^{ikr - beta r}/r with s = sin^2(angle). All
-of this is fitted together by Gauss-Newton steps: the complex factors G_n, the true places of the microphone, the speed
-of sound and its drift during the measurement, and the deviation of the directivity from the layout's (b1, b2). All
+unknowns are fitted together by Gauss-Newton steps: the complex factors G_n, the true places of the microphone, the
+speed of sound and its drift during the measurement, and the deviation of the directivity from the layout (b1, b2). All
 unknowns except G have priors. Delays other than polarity also have a prior of a few degrees, by sin(2 (arg G - common
-phase))/2, which does not depend on polarity. Without this prior a wrong speed of sound would appear as delays that grow
+phase))/2, which does not depend on polarity. Without this prior, a wrong speed of sound would give delays that grow
 towards the rim.
 """
 
@@ -28,7 +28,7 @@ DELAYS_RAD = math.radians(15.0)
 DIRECTIVITY = 0.3
 """Prior standard deviation of b1 and b2: pistons and measured tables differ by 0.2 of the amplitude at 30 degrees."""
 DEAD = 0.25
-"""A transducer whose amplitude is below this share of the median counts as dead."""
+"""Share of the median amplitude below which a transducer counts as dead."""
 STEPS = 60
 CONVERGED = 1e-7
 ODD, ODD_TIMES = 0.1, 6.0
@@ -44,10 +44,10 @@ SAME = 0.1
 class ElementFit:
     """Result of the fit to the readings.
 
-    elements: as in a calibration, by place, with addresses where signals are wired to other places than in the layout;
-    swapped: those places; unfit: columns of the readings that are loud but fit no place; their transducers are off
-    p0_Pa_m: mean amplitude of the transducers that sound, and its standard error from the scatter alone, without the
-    error of the microphone
+    elements: as in a calibration, by place, with addresses if signals are wired to other places than in the layout
+    swapped: these places; unfit: columns of the readings that are loud but fit no place; their transducers are off
+    p0_Pa_m: mean amplitude of the transducers that sound, and its standard error from the scatter only, without the
+        error of the microphone
     moved_m: shift of the microphone from its nominal places, shape (m, 3); sound_speed_m_s: fitted speed of sound
     misfit: rms of the residual, relative to the rms reading
     """
@@ -72,15 +72,14 @@ def fit_elements(
     place_sd_m: float = 1e-3,
     temperature_sd_K: float = 1.0,
 ) -> ElementFit:
-    """Fit all transducers at once.
+    """Fit all transducers together.
 
     array: the layout; its p0 and gain are not used
-    at: nominal places of the microphone, array frame [m], shape (m, 3), 3 places at least
-    readings: complex peak pressure of each transducer alone at full drive with phase 0 (a delay is +phase), shape (m,
-        n); NaN if missing
-    place_sd_m, temperature_sd_K: standard deviations of the places, by axis, and of the temperature of the air: its
-    mean and
-        its drift while all transducers sound in turn
+    at: nominal places of the microphone, array frame [m], shape (m, 3), at least 3
+    readings: complex peak pressure of each single transducer at full drive with phase 0 (a delay is +phase), shape
+        (m, n); NaN if missing
+    place_sd_m: standard deviation of the places, by axis. temperature_sd_K: standard deviation of the temperature of
+        the air, for its mean and for its drift while all transducers sound in turn
     Raises PalmfieldError for shapes that do not fit, readings that are infinite, a transducer without readings, fewer
     than 3 places, places that are not in front of the array, and if most readings fit no sound from their places.
     """
@@ -133,8 +132,8 @@ def fit_elements(
 
 
 class _Model:
-    """The pressures of the model and their derivatives; unknowns besides G_n: moves by axis, sound speed, b1 and b2,
-    each / sd."""
+    """Pressures of the model and their derivatives. Unknowns other than G_n, each over its standard deviation: moves by
+    axis, drift of the sound speed at each place, common drift, sound speed, b1 and b2."""
 
     def __init__(self, array: Array, air: Air, places: Float, place_sd_m: float, temperature_sd_K: float):
         self.array, self.places, self.place_sd_m = array, places, place_sd_m
@@ -198,7 +197,7 @@ class _Found:
 
 
 def _unexplained(pressure: Complex, y: Complex) -> Float:
-    """Share of the squared readings that no factor explains, shape (columns of y, columns of pressure), 0 to 1."""
+    """Return the share of the squared readings that no factor explains, 0 to 1, (columns of y, columns of pressure)."""
     size = np.outer((np.abs(y) ** 2).sum(axis=0), (np.abs(pressure) ** 2).sum(axis=0))
     return np.asarray(1.0 - np.abs(y.conj().T @ pressure) ** 2 / np.maximum(size, 1e-300))
 
@@ -215,9 +214,9 @@ def _odd(model: _Model, solution: _Found, y: Complex, present: np.ndarray) -> np
 def _matched(
     model: _Model, solution: _Found, y: Complex, present: np.ndarray, odd: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return places of the signals of all columns, a permutation, and which columns fit their place, shapes (n,).
+    """Return the places of the signals of all columns, a permutation, and which columns fit their place, shapes (n,).
 
-    odd: columns to be placed elsewhere: at each other's places, or at those of silent transducers
+    odd: columns that may be exchanged among themselves or moved to places of silent transducers
     """
     place, fits = np.arange(y.shape[1]), np.ones(y.shape[1], bool)
     pressure = model.pressures(solution.unknown)[0]
@@ -231,7 +230,7 @@ def _matched(
     fits[odd] = good
     matched = free[column[good]]
     place[odd[good]] = matched
-    # A column without a match keeps its own position if that is free
+    # A column without a match keeps its own position if it is free
     idle, vacant = np.setdiff1d(free, odd[good]), np.setdiff1d(free, matched)
     moved = np.setdiff1d(idle, vacant)
     place[moved] = np.setdiff1d(vacant, idle)
@@ -244,7 +243,7 @@ def _solved(model: _Model, y: Complex, present: np.ndarray) -> _Found:
     pressure, slopes = model.pressures(unknown)
     pressure = pressure * present
     factor = _best_factors(pressure, y)
-    # Twice the angle is equal for both polarities
+    # Twice the angle is the same for both polarities
     common = 0.5 * float(np.angle((factor**2).sum()))
     freedom = max(2 * int(present.sum()) - 2 * count - model.extra, 1)
     loudness = math.sqrt(float((np.abs(y) ** 2).sum()) / int(present.sum()))
@@ -358,7 +357,7 @@ def _result(model: _Model, solution: _Found) -> ElementFit:
     polarity = np.where(np.abs(angle) < 0.5 * math.pi, 1, -1)
     phase = np.angle(polarity * np.exp(1j * angle))
     late = float(phase[alive].mean())
-    # Only phase differences are determined; a common phase is that of the trigger of the recorder
+    # Only phase differences are determined; the common phase depends on the trigger of the recorder
     square = np.maximum(size**2, 1e-300)
     both = np.hstack([np.diag(-factor.imag / square), np.diag(factor.real / square)])
     louder = np.hstack([np.diag(factor.real / np.sqrt(square)), np.diag(factor.imag / np.sqrt(square))])

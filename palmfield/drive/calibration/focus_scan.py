@@ -20,19 +20,19 @@ TURN_SD_RAD = math.radians(3.0)
 """Prior standard deviation of the rotations of the board about each axis."""
 OFFSET_SD_M = 10e-3
 WITHIN_M = 0.03
-"""Largest distance of the loudest reading of a focus from it; beyond it another error is present [m]."""
+"""Largest distance of the loudest reading from its focus [m]; a larger distance is due to another error."""
 
 
 def fit_pose(
     array: Array, air: Air, foci_m: ArrayLike, at: ArrayLike, pressures_Pa: ArrayLike, temperature_sd_K: float = 1.0
 ) -> Pose:
-    """Fit offset and rotation of the board that move its foci to the measured ones, by least squares over amplitudes.
+    """Fit offset and rotation of the board that move its foci to the measured foci, by least squares over amplitudes.
 
     array: array with calibrated gains, in its nominal frame
-    foci_m: commanded for each reading, in that frame [m], shape (k, 3)
+    foci_m: commanded focus of each reading, in this frame [m], shape (k, 3)
     at: places of the microphone, in the same frame [m], shape (k, 3); pressures_Pa: amplitudes, shape (k,)
-    temperature_sd_K: standard deviation of the temperature of the air: faster sound moves foci closer. Rotations are
-    fitted only for three separate foci or more, else only offsets (turn 0).
+    temperature_sd_K: standard deviation of the temperature of the air: faster sound moves foci closer
+    Rotations are fitted only for three or more separate foci, else only offsets (turn 0).
     Raises PalmfieldError for fewer than 8 readings, invalid shapes, readings below 0 or not finite, and for a loudest
     reading farther than WITHIN_M from its focus.
     """

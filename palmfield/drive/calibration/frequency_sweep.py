@@ -1,4 +1,4 @@
-"""Resonance and quality of the transducers, from a slow sweep of the carrier before a microphone at several places."""
+"""Resonance and quality of the transducers, from a slow sweep of the carrier, with a microphone at several places."""
 
 import math
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ FEWEST = 8
 DELAY_SD_S = 6e-6
 """Prior standard deviation of delays from place to place: 2 mm of path [s]."""
 NOISE = 0.01
-"""Noise of readings, relative to the loudest reading of a place; it weights the delays."""
+"""Noise of readings, relative to the loudest reading of a place; it determines the weight of the prior of delays."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +42,15 @@ def fit_sweep(
 ) -> SweepFit:
     """Fit one pole for all transducers, and a free factor for each place, by least squares over complex pressures.
 
-    p(m, f) = C_m e^{i 2 pi f t_m} P(f; f0, Q) S_m(f): S_m is the sum over the transducers of the sound at that
-    frequency with the phases of the drive, P = g/(g - i 2 pi (f - f0)), g = pi f0/Q, and t_m the delay of recorder and
-    place. Places are also fitted separately: errors are those of the mean over places, since disturbances (echoes,
+    p(m, f) = C_m e^{i 2 pi f t_m} P(f; f0, Q) S_m(f). S_m is the sum of the sound of the transducers at this frequency
+    with the phases of the drive; P = g/(g - i 2 pi (f - f0)), g = pi f0/Q; t_m is the delay of recorder and place.
+    Places are also fitted separately. Errors are those of the mean over places, because disturbances (echoes,
     interference) differ between places.
 
-    drive: complex amplitudes, the same at all frequencies, shape (n,); at: the places of the microphone, array frame
-    [m], shape (m, 3), 8 at least; frequencies_Hz: shape (q,), 5 at least; pressures_Pa: complex (a delay is +phase),
-    (m, q). Raises PalmfieldError for fewer places or frequencies, invalid shapes, numbers that are not finite, and for
-    a resonance outside the sweep.
+    drive: complex amplitudes, the same at all frequencies, shape (n,); at: places of the microphone, array frame [m],
+    shape (m, 3), at least 8; frequencies_Hz: shape (q,), at least 5; pressures_Pa: complex (a delay is +phase), (m, q)
+    Raises PalmfieldError for fewer places or frequencies, invalid shapes, numbers that are not finite, and for a
+    resonance outside the sweep.
     """
     where = check.points(np.asarray(at, float), np.float64)
     f, measured = np.asarray(frequencies_Hz, float), np.asarray(pressures_Pa, np.complex128)
@@ -76,7 +76,7 @@ def fit_sweep(
 
 
 def _pole(sound: Complex, f: Float, measured: Complex, start: float) -> tuple[float, float, float]:
-    """Return the resonance [Hz], quality, and relative rms of the residual, with the best factor for each place."""
+    """Return resonance [Hz], quality, and relative rms of the residual, with the best factor for each place."""
     scale = np.abs(measured).max(axis=1, keepdims=True)
     places = len(measured)
 
@@ -100,5 +100,5 @@ def _pole(sound: Complex, f: Float, measured: Complex, start: float) -> tuple[fl
 
 
 def response_at(frequencies_Hz: Float, resonance_Hz: float, quality: float) -> Complex:
-    """Response of transducers of one resonance to a steady carrier, relative to that at resonance, shape (q,)."""
+    """Return the response of transducers to a steady carrier, relative to that at resonance, shape (q,)."""
     return envelope_response(frequencies_Hz - resonance_Hz, Pole(resonance_Hz, quality, resonance_Hz))[:, 0]

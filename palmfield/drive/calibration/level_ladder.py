@@ -1,4 +1,4 @@
-"""Sound level over drive level: exponent and saturation, from readings at rising levels."""
+"""Sound level as a function of drive level: exponent and saturation, from readings at rising levels."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,13 +12,13 @@ MISSING = 0.05
 
 
 def fit_level(levels: ArrayLike, pressures_Pa: ArrayLike) -> Level:
-    """Fit p = p1 a^exponent to the readings below saturation, and the level at which more than MISSING is missing.
+    """Fit p = p1 a^exponent to the readings below saturation, and find the level of saturation.
 
     The fit is in logarithms, over levels up to a limit. The limit is lowered from full drive until all readings above
-    it deviate from the fit by more than MISSING. Forces are passed as their square roots.
+    it are too low by more than MISSING. Forces are passed as their square roots.
 
-    levels: levels of the drive, 0 < a <= 1, shape (n,), 5 different ones at least; pressures_Pa: amplitudes, shape (n,)
-    Raises PalmfieldError for levels and readings out of these ranges, and where fewer than 4 levels are linear.
+    levels: levels of the drive, 0 < a <= 1, shape (n,), at least 5 different; pressures_Pa: amplitudes, shape (n,)
+    Raises PalmfieldError for levels and readings out of these ranges, and if fewer than 4 levels are linear.
     """
     a, p = np.asarray(levels, float), np.asarray(pressures_Pa, float)
     if a.shape != p.shape or a.ndim != 1 or len(np.unique(a)) < 5:

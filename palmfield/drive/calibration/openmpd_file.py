@@ -1,11 +1,10 @@
-"""Read the vendor's files of single OpenMPD boards (board_N.pat) as calibrations.
+"""Read files of single OpenMPD boards (board_N.pat of the vendor) as calibrations.
 
-Seven lines, as `GenerateBoardConfigurationFiles` of the driver of the vendor writes them: hardware id, number of
-transducers, phase steps, positions (x, y, z) [m], place of each transducer in the byte stream, phase [deg], amplitude.
-The driver (`AsierInhoImpl_V2::discretizePhases`, sbg97/OpenMPD_Driver) subtracts the phase of a transducer before it
-rounds, so the phase is the delay of the transducer, like `phase_rad`. An inverted transducer has about 180 deg more.
-This was not tried on hardware.
-"""
+`GenerateBoardConfigurationFiles` of the driver of the vendor writes seven lines: hardware id, number of transducers,
+phase steps, positions (x, y, z) [m], place of each transducer in the byte stream, phase [deg], amplitude. The driver
+(`AsierInhoImpl_V2::discretizePhases`, sbg97/OpenMPD_Driver) subtracts the phase of a transducer before it rounds. So
+the phase is the delay of the transducer, like `phase_rad`. An inverted transducer has about 180 deg more. This was not
+tested on hardware."""
 
 import re
 from pathlib import Path
@@ -19,16 +18,15 @@ from palmfield.files import read_text, reading
 from palmfield.types import Float
 
 SAME_M = 1e-6
-"""Files give micrometres."""
+"""Largest difference of equal positions [m]; files have this resolution."""
 
 
 def read_board_file(path: str | Path) -> Calibration:
-    """Read the calibration of layout openmpd from a board file: addresses, polarities, phases, and positions if they
-    differ from those of the layout.
+    """Read the calibration of layout openmpd from a board file: addresses, polarities, phases, and other positions.
 
-    Raises SceneError, with the line, for a file that cannot be read, another number of transducers, pins that are not 0
-    to 255 each once, phases beyond 360 degrees, and amplitudes other than 1, which the driver does not use.
-    """
+    Positions are None if they equal those of the layout. Raises SceneError, with the line, for a file that cannot be
+    read, another number of transducers, pins that are not 0 to 255 each once, phases beyond 360 degrees, and amplitudes
+    other than 1, which the driver does not use."""
     file, array = Path(path), layout("openmpd")
     with reading(file, SceneError, "a vendor's file board_N.pat"):
         lines = read_text(file).splitlines()
@@ -47,7 +45,7 @@ def read_board_file(path: str | Path) -> Calibration:
     if (amplitudes != 1.0).any():
         raise SceneError(f"{file}: line 7: amplitude {amplitudes[amplitudes != 1.0][0]:g}; allowed: 1")
     turns = np.exp(1j * np.radians(degrees))
-    # Twice the angle is equal for both polarities
+    # Twice the angle is the same for both polarities
     common = np.exp(0.5j * np.angle((turns**2).sum()))
     polarity = np.where((turns / common).real < 0.0, -1, 1)
     moved = np.abs(positions - array.positions).max() > SAME_M

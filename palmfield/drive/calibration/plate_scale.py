@@ -1,4 +1,4 @@
-"""Estimate p0 from the force on a plate on a scale, switched on and off at several distances."""
+"""Estimate p0 from the force on a plate on a scale, with the sound switched on and off at several distances."""
 
 import math
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Complex, Field, Float
 
 LAW = 0.1
-"""Relative error of the local radiation-pressure law for the force on a plate of a few wavelengths [1]."""
+"""Relative error of the local radiation-pressure law for the force on a plate of a few wavelengths."""
 PER_WAVELENGTH = 8
 """Points of the plate per wavelength, along each side."""
 
 
 @dataclass(frozen=True)
 class PlateFit:
-    """Result of the fit. p0_Pa_m: p0 with its standard error from the scatter, and the ends of its 95 % interval, which
-    includes the error of the law.
+    """Result of the fit.
 
+    p0_Pa_m: p0, its standard error from the scatter, and the ends of its 95 % interval with the error of the law
     fringe: relative amplitude of the variation of the force with distance, from sound between plate and array
     drift_N_s: drift of the scale [N/s]
     """
@@ -48,15 +48,15 @@ def fit_plate(
 ) -> PlateFit:
     """Fit p0 by the local law to the forces on the scale.
 
-    F(t) = on p0^2 f(h) (1 + a cos 2kh + b sin 2kh) + draught(h) + drift t: f is the force of the law for p0 = 1 on the
-    plate at distance h, a and b the fringes due to sound between plate and array, half a wavelength long, and draught
-    the reading at a distance with the array off. The equation is solved by linear least squares in p0^2, p0^2 a, p0^2
-    b, draughts and drift.
+    F(t) = on p0^2 f(h) (1 + a cos 2kh + b sin 2kh) + draught(h) + drift t. f is the force of the law for p0 = 1 on the
+    plate at distance h. a and b describe the fringes (half a wavelength long) due to sound between plate and array. The
+    draught is the reading at a distance with the array off. The unknowns of a linear least-squares problem are p0^2,
+    p0^2 a, p0^2 b, draughts and drift.
 
     array: array with calibrated gains; drive: complex amplitudes, shape (n,), of transducers as wired
-    size_m: size of the plate, which is centred on the axis of the array and lies across it
+    size_m: size of the plate, which is centred on the axis of the array and perpendicular to it
     distances_m, times_s, on, forces_N: values of each reading, shape (k,); on is 1 while the array sounds, else 0
-    level: its pressure relative to full drive
+    level: pressure of the array relative to full drive
     Raises PalmfieldError for fewer than 4 distances, distances spread over much more than half a wavelength, a distance
     without readings both with and without sound, numbers that are not finite, and a plate without force.
     """
@@ -109,7 +109,7 @@ def fit_plate(
 
 
 def plate_force(array: Array, air: Air, drive: Complex, size_m: tuple[float, float], distance_m: float) -> float:
-    """Return the force [N] that pushes a plate at a distance away, by the default law, from a field in float64."""
+    """Return the force away from the array [N] on a plate at a distance, by the default law and a float64 field."""
     step = sound_speed(air) / array.frequency_Hz / PER_WAVELENGTH
     lines = [_midpoints(size, step) for size in size_m]
     x, y = np.meshgrid(*(line for line, _ in lines), indexing="ij")

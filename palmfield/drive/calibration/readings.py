@@ -26,12 +26,12 @@ FOCUS_XYZ = ("focus_x_m", "focus_y_m", "focus_z_m")
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Circumstances of a measurement besides its readings.
+    """Data of a measurement other than its readings.
 
-    source: who measured when, and with what; microphone_error: limit of 95 % for the relative error of its calibration
+    source: person, date and equipment; microphone_error: 95 % limit of the relative error of the microphone calibration
     place_sd_m, temperature_sd_K: standard deviations of the places of the microphone, by axis, and of the temperature
     focus_m: commanded focus, array frame [m]; plate_m: sides of the plate [m]
-    level: its pressure relative to full drive
+    level: pressure of the array relative to full drive
     """
 
     source: str
@@ -46,7 +46,7 @@ class Circumstances:
 
 @dataclass(frozen=True)
 class Measured:
-    """Result of readings. calibration: calibration with these results; report: the results, one line each"""
+    """Result of readings. calibration: calibration with these results; report: the results, one per line"""
 
     calibration: Calibration
     report: tuple[str, ...]
@@ -54,8 +54,8 @@ class Measured:
 
 @dataclass(frozen=True)
 class Measurement:
-    """A kind of measurement. about: procedure in the laboratory; columns: columns of its CSV file; put: readings into
-    calibration; optional: further allowed columns"""
+    """A kind of measurement. about: procedure in the laboratory; columns, optional: required and optional columns of
+    its CSV file; put: function that adds the results to a calibration"""
 
     about: str
     columns: tuple[str, ...]
@@ -303,7 +303,7 @@ def _whole(file: Path, columns: dict[str, Float], name: str, count: int) -> np.n
 
 
 def _check_version(file: Path, columns: dict[str, Float], name: str) -> None:
-    """Raises SceneError if transducers may be numbered by another version of the layout."""
+    """Raise SceneError if transducers may be numbered by another version of the layout."""
     now = LAYOUTS[name].version
     versions = columns.get("layout_version", np.array([1.0]))
     if (versions != now).any():

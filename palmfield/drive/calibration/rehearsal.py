@@ -1,4 +1,4 @@
-"""Simulated readings of an imaginary board, to test a calibration before there is hardware."""
+"""Simulated readings of an imaginary board, to test a calibration without hardware."""
 
 import math
 from dataclasses import replace
@@ -28,10 +28,10 @@ NOISE = 0.01
 
 
 def rehearse(array: Array, folder: Path, seed: int) -> list[Path]:
-    """Write files of readings of each kind, and TRUTH, their true parameters; returns their paths.
+    """Write a file of readings of each kind, and TRUTH with the true parameters; return the paths.
 
-    Half of the transducers are inverted, phases differ by 10 deg and gains by 8 % (sd), 2 % are silent; microphone
-    places are 1 mm off (sd), air 1 K, and 10 % of the sound is reflected by a wall.
+    Half of the transducers are inverted; phases differ by 10 deg and gains by 8 % (sd); 2 % are silent. The microphone
+    is 1 mm off (sd), the air 1 K, and a wall reflects 10 % of the sound.
     array: the layout; folder: made if missing. Raises OutputError for a folder with other content.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -81,7 +81,7 @@ def _readings(array: Array, truth: Calibration, random: np.random.Generator) -> 
     at = np.column_stack([random.uniform(-wide, wide, (PLACES, 2)), random.uniform(1.5 * wide, 3.0 * wide, PLACES)])
     each = _one_by_one(array, raw, at + random.normal(0.0, 1e-3, at.shape), real, random)
     number, place = np.tile(np.arange(len(array)), PLACES), np.repeat(np.arange(PLACES), len(array))
-    # The wiring is known to the driver at this stage, from the measurement of single transducers
+    # At this stage the driver has the wiring from the measurement of single transducers
     aimed = compensate(moved, focus(array, assumed, FOCUS_M))
     scan = np.array(FOCUS_M) + random.uniform(-1.0, 1.0, (60, 3)) * [0.012, 0.012, 0.04]
     amplitudes = np.abs(pressure64(scan, moved, aimed, real)[0])

@@ -11,7 +11,7 @@ from palmfield.errors import PalmfieldError
 def fit_warm_up(times_s: ArrayLike, pressures_Pa: ArrayLike) -> WarmUp:
     """Fit p = p1 (1 + drop exp(-t/time_s)) by least squares.
 
-    times_s: since the array was switched on, shape (n,), 6 at least; pressures_Pa: amplitudes, shape (n,)
+    times_s: since the array was switched on, shape (n,), at least 6; pressures_Pa: amplitudes, shape (n,)
     Raises PalmfieldError for fewer readings, numbers out of range, and if the readings do not determine the time
     constant.
     """

@@ -1,4 +1,4 @@
-"""The port in the process of the player: it sends whole frames, counts bytes in transit, and silences the board."""
+"""Port of a board in the process of the player: sends whole frames, counts bytes in transit, silences the board."""
 
 import os
 import time
@@ -15,17 +15,17 @@ from palmfield.errors import DeviceError
 
 now_s = time.monotonic
 RETRY_S = 20e-3
-"""Delay after the system took only a part of a frame, or none [s]."""
+"""Delay before the next frame after the system accepted only a part of a frame, or nothing [s]."""
 MOST_RECORDED = 1_000_000
-"""Largest number of frames whose delays are kept."""
+"""Largest number of frames whose delays are stored."""
 
 
 class PortStuck(PortLost):
-    """A port that exists and takes no bytes."""
+    """A port that exists but accepts no bytes."""
 
 
 class _OnItsWay(NamedTuple):
-    """A frame in transit. end: bytes written with it; number: number of its lateness"""
+    """A frame in transit. end: total bytes written up to its end; number: index of its delay"""
 
     end: int
     due_s: float
@@ -35,8 +35,8 @@ class _OnItsWay(NamedTuple):
 class BoardEnd:
     """An open port and the frames sent through it.
 
-    frames: written whole; cut: partly taken by the system; late_s: delay of the last byte of each frame on the
-    line [s]; write_late_s: delay of its writing [s]
+    frames: number of frames written whole; cut: number of frames that the system accepted only in part
+    late_s: delay of the last byte of each frame on the line [s]; write_late_s: delay of its writing [s]
     numbered: number, due time and index in late_s of each numbered frame
     """
 
@@ -86,7 +86,7 @@ class BoardEnd:
             self.late_s[frame.number] = max(self.late_s[frame.number], now - READING_AGE_S - frame.due_s)
 
     def hand(self, data: bytes, due_s: float, planned_s: float, number: int = -1) -> bool:
-        """Write a frame; return False if the system did not accept all of it: then write a whole frame next.
+        """Write a frame; return False if the system did not accept all of it. Then the next write is a whole frame.
 
         due_s: target time of its last byte on the line; planned_s: planned time of writing, both on `now_s`
         number: number of a frame whose time on the line `on_line` reports later
@@ -132,7 +132,7 @@ class BoardEnd:
         self.sounding = False
 
     def send_stop(self) -> None:
-        """Silence the board; returns when the bytes are sent. Raises PortLost."""
+        """Silence the board, and return when the bytes are sent. Raises PortLost."""
         self._send_whole(self.stop)
         self.sounding = False
 
@@ -165,7 +165,7 @@ class BoardEnd:
         return "://" in self.job.port or self.job.port.startswith(AUTD3)
 
     def try_stop(self) -> bool:
-        """Silence the board by reopening a lost port; returns whether that succeeded."""
+        """Reopen a lost port to silence the board; return whether this succeeded."""
         try:
             if self._port is None:
                 self._port = self._open()

@@ -1,15 +1,15 @@
-"""Limits of the duration of sound: in total, and as a share of any stretch of time."""
+"""Limits of the duration of sound: in total, and as a share of any interval."""
 
 WINDOW_S = 10.0
-"""Window of the largest share of time with sound [s]."""
+"""Length of the interval for the largest share of time with sound [s]."""
 
 
 class SoundBudget:
-    """Budget of sound. on_time_s: longest total, 0 for any; duty: largest share of time with sound, over about window_s
+    """Budget of sound. on_time_s: longest total, 0: no limit; duty: largest share of time with sound over window_s.
 
-    Allowed time accumulates at the rate `duty`, up to that share of the window, and is used up by sound. Once it is
-    spent there is silence until half of it is restored. reason: why sound is not allowed, in words
-    """
+    reason: why sound is not allowed, in words
+    Allowed time grows at the rate `duty`, up to this share of the window; sound uses it. When it is used up, there is
+    silence until half of it is restored."""
 
     def __init__(self, on_time_s: float = 0.0, duty: float = 1.0, window_s: float = WINDOW_S) -> None:
         self.on_time_s, self.duty, self.window_s = on_time_s, duty, window_s
@@ -19,7 +19,7 @@ class SoundBudget:
         self._last_s: float | None = None
 
     def allows(self, now_s: float, sounds: bool) -> bool:
-        """Return whether there may be sound from now on; sounds: whether there was since the last call."""
+        """Return whether sound is allowed from now on; sounds: whether there was sound since the last call."""
         passed = 0.0 if self._last_s is None else now_s - self._last_s
         self._last_s = now_s
         most = self.duty * self.window_s

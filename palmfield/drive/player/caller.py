@@ -1,4 +1,4 @@
-"""The player in the process of the caller: it starts the other process, sends frames to it, and gets results."""
+"""The player in the process of the caller: it starts the process of the player, sends frames, and receives results."""
 
 import contextlib
 import os
@@ -28,15 +28,15 @@ PACKAGES = str(Path(__file__).parents[3])
 
 
 ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT")
-"""Signals that end a process without running `finally`; as SystemExit they do. SIGINT is KeyboardInterrupt already."""
+"""Signals that are converted to SystemExit, so that `finally` runs. SIGINT is KeyboardInterrupt already."""
 
 
 @contextlib.contextmanager
 def signals_to(alarm: socket.socket, silent_within_s: float) -> Iterator[None]:
-    """In the block, numbers of signals are written to a socket at once, also while Python is busy.
+    """In the block, write the numbers of signals to a socket without delay, also while Python is busy.
 
-    alarm: never blocks; silent_within_s: time until the board is silent before Ctrl-Z stops this process. Signals are
-    caught only in the main thread, and not those that the process ignores (as SIGHUP under nohup).
+    alarm: socket that never blocks; silent_within_s: time to silence the board before Ctrl-Z stops this process
+    Signals are caught only in the main thread, except signals that the process ignores (as SIGHUP under nohup).
     """
     if not in_main_thread():
         yield
@@ -60,14 +60,14 @@ def signals_to(alarm: socket.socket, silent_within_s: float) -> Iterator[None]:
 
 
 class Player:
-    """A board on a port, played by a process of its own. Use as a context manager: the board is silent at its end.
+    """A board on a port, played by a separate process. Use as a context manager: at its end the board is silent.
 
-    In the main thread SIGTERM, SIGHUP and SIGQUIT become SystemExit meanwhile, and Ctrl-Z silences the board before it
-    stops the program.
+    In the block, in the main thread, SIGTERM, SIGHUP and SIGQUIT become SystemExit, and Ctrl-Z silences the board
+    before it stops the program.
 
     priority: priority of the process, in words; silent: reason why live frames are silent, or empty
-    begin_s: beginning of its log, on time.monotonic() [s]; report: report of the last play, after `close`
-    log_error: reason why the log ends early, after `close`; else empty
+    begin_s: beginning of the log, on time.monotonic() [s]; report: report of the last play, after `close`
+    log_error: reason why the log ended early, after `close`; else empty
     """
 
     def __init__(
@@ -141,12 +141,12 @@ class Player:
     ) -> PlayReport:
         """Send frames so that they are emitted at their times; return when all are played and the board is silent.
 
-        frames: (time of emission since the start [s], bytes), times rising; duration_s: least end of the last one,
+        frames: (time of emission since the start [s], bytes), times ascending; duration_s: least end of the last frame,
             since the start [s]
-        on_progress: called with the numbers of frames sent and skipped, some times a second
-        on_sound: called with the time of emission of the first frame, on time.monotonic() [s], as soon as it is in
-            transit, usually before
-        Of several due frames the newest is sent. Raises DeviceError if the board is lost or the player has died.
+        on_progress: called with the numbers of frames sent and skipped, a few times per second
+        on_sound: called with the time of emission of the first frame, on time.monotonic() [s], when the frame is in
+            transit, usually before it is emitted
+        Of several due frames the newest is sent. Raises DeviceError if the board is lost or the player has ended.
         """
         listed = list(frames)
         schedule = Schedule([one[0] for one in listed], [one[1] for one in listed], duration_s)
@@ -154,14 +154,14 @@ class Player:
         return PlayReport(**self._until("played", None, on_progress, on_sound)["played"])
 
     def send(self, steps: Sequence[bytes], level: float = 1.0, made_s: float | None = None, due_s: float = 0.0) -> None:
-        """Send a live frame, which sounds until a newer one comes, or fades out after `stale_s` without one.
+        """Send a live frame. It sounds until a newer frame comes, or fades out after `stale_s`.
 
-        steps: the same frame at rising levels up to its own, all of one length, for the ramp; only itself if the board
-            has no levels
-        level: level of its sound, 0 for silence; made_s: time of its input data, on time.monotonic() [s], None for now
-        due_s: target time of its last byte on the line, on that clock, later than those of all before; of several
-            due frames the newest is sent; 0: as soon as possible
-        Raises DeviceError if the board is lost or the player has died.
+        steps: the same frame at rising levels up to its own, of equal length, for the ramp; one frame if the board has
+            no levels
+        level: level of the sound, 0 for silence; made_s: time of the input data, on time.monotonic() [s], None: now
+        due_s: target time of the last byte on the line, on the same clock, later than those of all earlier frames; 0:
+            as soon as possible. Of several due frames the newest is sent
+        Raises DeviceError if the board is lost or the player has ended.
         """
         made = time.monotonic() if made_s is None else made_s
         self._send(FRAME, LiveFrame(made, level, steps, due_s).packed())
@@ -180,7 +180,7 @@ class Player:
         return self.report
 
     def check(self) -> None:
-        """Raises DeviceError if the board is lost or the player has died since its last message."""
+        """Raise DeviceError if the board is lost or the player has ended since its last message."""
         self._read_lines()
 
     # -- messages of the player ----------------------------------------------------------------------------------------
@@ -203,7 +203,7 @@ class Player:
         on_progress: Callable[[int, int], None] | None = None,
         on_sound: Callable[[float], None] | None = None,
     ) -> dict[str, Any]:
-        """Return the first line with that key. Raises DeviceError when the player fails or ends before."""
+        """Return the first line with this key. Raises DeviceError if the player fails or ends earlier."""
         while ends_s is None or time.monotonic() < ends_s:
             select.select([self._talk], [], [], 0.1)
             for line in self._read_lines():
@@ -240,7 +240,7 @@ class Player:
         return lines
 
     def _raise_end(self, end: dict[str, Any]) -> None:
-        """Raise the reason why the player has ended by itself. No error if the caller requested it."""
+        """Raise DeviceError with the reason why the player has ended; no error if the caller requested the end."""
         if self._lost or not (end["lost"] or end["broken"] or end["why_on"] or end["ended"].startswith("the player")):
             return
         self._lost = True
@@ -253,7 +253,7 @@ class Player:
         raise DeviceError(f"{what}; {sounds}{why}")
 
     def _died(self) -> None:
-        """The process has ended without a message: the board is silenced from here. Raises DeviceError."""
+        """Silence the board from this process, after the player has ended without a message. Raise DeviceError."""
         if self._lost:
             return
         self._lost = True
@@ -269,9 +269,9 @@ class Player:
         raise DeviceError(f"the player process on {self.port} was ended {how}; the board is off")
 
     def close(self) -> None:
-        """Silence the board and free the port; returns when that is done.
+        """Silence the board and free the port; return when this is done.
 
-        Raises DeviceError if the board could not be silenced and no error was raised for it yet.
+        Raises DeviceError if the board could not be silenced, unless this error was raised before.
         """
         if self._closed:
             return
@@ -309,7 +309,7 @@ class Player:
 
 
 def _silence(board: Board, port: str) -> None:
-    """Raises DeviceError if that fails."""
+    """Silence the board from this process. Raises DeviceError if this fails."""
     transport = open_port(port, None if board.line is None else board.line.baud)
     try:
         while board.stop and not transport.write(board.stop):

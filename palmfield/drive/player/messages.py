@@ -1,6 +1,6 @@
 """Messages between the caller and its player over a socket.
 
-To the player: a kind, a length and that many bytes. From it: JSON objects, one a line.
+A message to the player is a kind, a length and that number of bytes. A message from it is a line with a JSON object.
 """
 
 import json
@@ -15,7 +15,7 @@ from palmfield.drive.player.budget import WINDOW_S
 
 HEAD = struct.Struct("<cI")
 JOB, SCHEDULE, FRAME, MUTE, END = b"J", b"S", b"F", b"M", b"E"
-"""Kinds: parameters to open; frames with their times; a live frame; pause of live frames; end."""
+"""Kinds: parameters to open; frames with their times; a live frame; fade-out of live frames; end."""
 FRAME_HEAD = struct.Struct("<ddfH")
 SCHEDULE_HEAD = struct.Struct("<dI")
 
@@ -24,13 +24,13 @@ SCHEDULE_HEAD = struct.Struct("<dI")
 class Job:
     """Parameters of a player. Bytes are in hexadecimal digits, times in seconds.
 
-    start, stop: byte sequences, both of which silence the board; realtime: whether it requests the highest priority
+    start, stop: byte sequences; both silence the board; realtime: whether the player requests the highest priority
     log: file to which lines of a log are added, empty for none; refresh_s: interval of repetition of constant frames
-    lost_s: longest time without bytes taken by a line; replug_s: longest wait for a lost port, to silence the board
-    patience_s: longest time to silence a board whose port exists and takes no bytes; 0 for no limit
-    stale_s: time after which a live frame is old; ramp_s: time from silence to full and back, of live frames
-    on_time_s: longest total of sound of live frames, 0 for any; duty: largest share of time, over duty_window_s
-    tells_frames: whether the player reports when the last byte of each live frame was on the line
+    lost_s: longest time in which a line accepts no bytes; replug_s: longest wait for a lost port, to silence the board
+    patience_s: longest time to silence a board whose port exists but accepts no bytes; 0: no limit
+    stale_s: time after which a live frame is old; ramp_s: time from silence to full drive and back, of live frames
+    on_time_s: longest total of sound of live frames, 0: no limit; duty: largest share of time with sound, over
+        duty_window_s; tells_frames: whether the player reports when the last byte of each live frame was on the line
     """
 
     port: str
@@ -60,7 +60,7 @@ class Job:
 
 
 class Schedule(NamedTuple):
-    """Frames and their times of emission (last byte on the line) since the start [s], rising; they end at duration_s.
+    """Frames and their times of emission (last byte on the line) since the start [s], ascending.
 
     The last frame sounds until duration_s.
     """
@@ -91,11 +91,11 @@ class Schedule(NamedTuple):
 
 
 class LiveFrame(NamedTuple):
-    """A frame made while others sound.
+    """A frame that is made during the play.
 
-    made_s: time of its input data, on time.monotonic() [s]; level: level of its sound, 0 for silence
-    steps: the same frame at rising levels up to its own, all of one length; only itself if there are none
-    due_s: target time of its last byte on the line, on that clock, later than all before; 0: as soon as possible
+    made_s: time of the input data, on time.monotonic() [s]; level: level of the sound, 0 for silence
+    steps: the same frame at rising levels up to its own, of equal length; one frame without levels
+    due_s: target time of the last byte on the line, on the same clock, later than all before; 0: as soon as possible
     """
 
     made_s: float
@@ -120,7 +120,7 @@ def packed(kind: bytes, data: bytes = b"") -> bytes:
 
 
 class Inbox:
-    """Messages from a socket that never blocks. closed: whether the other side has closed it"""
+    """Messages from a socket that never blocks. closed: whether the other side has closed the socket"""
 
     def __init__(self, connection: socket.socket) -> None:
         self._socket = connection

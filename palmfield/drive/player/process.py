@@ -1,8 +1,8 @@
-"""The player's process: `python -m palmfield.drive.player.process TALK ALARM`, numbers of two sockets of the caller.
+"""Process of the player: `python -m palmfield.drive.player.process TALK ALARM`, numbers of two sockets of the caller.
 
-It loads neither NumPy nor Warp nor MuJoCo. It plays the frames received over the first socket. The second carries
-numbers of the signals of the caller, which the system writes even while the caller is busy. The board is silenced at
-the request of the caller, if the caller ends or is stopped, and if a signal ends this process.
+It loads neither NumPy nor Warp nor MuJoCo. It plays the frames received over the first socket. The second socket
+transmits numbers of signals of the caller, which the system writes even while the caller is busy. The board is silenced
+at the request of the caller, if the caller ends or is stopped, and if a signal ends this process.
 """
 
 import contextlib
@@ -27,13 +27,13 @@ from palmfield.errors import PalmfieldError
 
 now_s = time.monotonic
 SPIN_S = 80e-6
-"""Waits end this time before a moment; then a busy loop reads the clock [s]."""
+"""Time before a moment at which a wait ends; then a busy loop reads the clock [s]."""
 LOOK_S = 0.02
-"""Longest wait [s]; then the caller is checked."""
+"""Longest wait between checks of the caller [s]."""
 PARENT_S = 0.05
 PROGRESS_S = 0.1
 IDLE_S = 200e-6
-"""Time allowed to write a line of the log."""
+"""Least free time in which a line of the log is written [s]."""
 ENDS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 STOPS, GOES_ON = int(getattr(signal, "SIGTSTP", 0)), int(getattr(signal, "SIGCONT", 0))
 
@@ -44,7 +44,7 @@ MCL_CURRENT, MCL_FUTURE = 1, 2
 
 
 def collect_no_garbage() -> None:
-    """Switch off garbage collection, which a player does not need; end waits on time, not 50 us later."""
+    """Switch off garbage collection, which a player does not need, and let waits end on time, not 50 us later."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -53,7 +53,7 @@ def collect_no_garbage() -> None:
 
 
 def request_priority() -> str:
-    """Request SCHED_FIFO and locked memory; returns the result in words, with reasons."""
+    """Request SCHED_FIFO and locked memory; return the result in words, with reasons."""
     if not hasattr(os, "sched_setscheduler"):
         return "normal priority (this system has no SCHED_FIFO)"
     try:
@@ -70,9 +70,9 @@ def request_priority() -> str:
 
 
 class Caller:
-    """Requests of the caller, by messages and signals, and whether it exists. ended: reason to end, or empty; signals:
-    signals that requested the end; paused: whether the board must be silent
-    """
+    """Requests of the caller, by messages and signals, and whether the caller exists.
+
+    ended: reason to end, or empty; signals: signals that requested the end; paused: whether the board must be silent"""
 
     def __init__(self, talk: socket.socket, alarm: socket.socket) -> None:
         self.talk, self.alarm = talk, alarm
@@ -122,7 +122,7 @@ class Caller:
             self._stopped = file.read().rpartition(b")")[2].split()[0] in (b"T", b"t")
 
     def wait(self, until_s: float) -> bool:
-        """Wait until a moment, a message, or for LOOK_S; return whether the moment is reached."""
+        """Wait until a moment, a message, or at most LOOK_S; return whether the moment is reached."""
         rest = until_s - SPIN_S - now_s()
         if rest > 0.0:
             open_ones = [one for one in (self.talk, self.alarm) if one not in self._closed]
@@ -139,7 +139,7 @@ class Caller:
         return True
 
     def send(self, **what: Any) -> None:
-        """Send a line without waiting, since the caller may not read it."""
+        """Send a line without waiting, because the caller may not read it."""
         with contextlib.suppress(OSError):
             self.talk.send(json.dumps(what).encode() + b"\n")
 
@@ -157,7 +157,7 @@ class Session:
         self._last_sound_s: float | None = None
 
     def run(self) -> None:
-        """Play until the caller ends it. Raises PortLost."""
+        """Play until the caller ends the play. Raises PortLost."""
         self.board.send_start()
         self.caller.send(ready=True, priority=self.priority, begin_s=self.board.begin_s)
         while not self.caller.ended:
@@ -175,7 +175,7 @@ class Session:
         self._fade()
 
     def _fade(self) -> None:
-        """Fade live sound out within its ramp, unless the caller requests the end again, or is stopped."""
+        """Fade live sound out within the ramp, unless the caller requests the end again, or is stopped."""
         source, signals = self.source, self.caller.signals
         if not isinstance(source, LiveSource) or source.ramp_s <= 0.0:
             return
@@ -256,7 +256,7 @@ class Session:
         self.caller.send(progress=[self.board.frames - self._frames_before, source.skipped])
 
     def report(self, source: Source | None) -> dict[str, Any]:
-        """Report all frames of a source, as `PlayReport`."""
+        """Return the report on all frames of a source, as fields of `PlayReport`."""
         late = self.board.late_s[self._frames_before :]
         delays = self.board.write_late_s[self._frames_before :]
         return {
@@ -277,9 +277,9 @@ class Session:
 
 
 def silence(board: BoardEnd, caller: Caller, lost: str) -> str:
-    """Silence the board, retrying as long as its port exists; returns why that failed, or "".
+    """Silence the board, with retries as long as its port exists; return the reason of a failure, or "".
 
-    lost: why the port was lost, or ""
+    lost: reason why the port was lost, or ""
     """
     began, reported, signals = now_s(), False, caller.signals
     gone_since: float | None = None
@@ -340,7 +340,7 @@ def main() -> int:
         if not isinstance(error, PortStuck):
             board.close_port()
     except PalmfieldError as error:
-        # Missing units that are opened by the first bytes
+        # Units that are opened by the first bytes are missing
         board.close()
         caller.send(failed=str(error))
         return 1
@@ -357,7 +357,7 @@ def main() -> int:
 
 
 def first_job(talk: socket.socket) -> Job:
-    """Return the first message. Raises EOFError if the caller ends before it."""
+    """Return the first message. Raises EOFError if the caller ends without it."""
     inbox = Inbox(talk)
     talk.setblocking(False)
     while True:

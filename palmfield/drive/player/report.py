@@ -4,20 +4,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 UNSENT_SHARE = 0.01
-"""Share of unsent among due frames above which users are warned."""
+"""Unsent share of the due frames above which users are warned."""
 
 
 @dataclass(frozen=True)
 class PlayReport:
-    """Report of a play. frames: sent whole; skipped: replaced by a newer due one; cut: partly taken by the system
+    """Report of a play.
 
-    late_s: worst delay of the last byte of a frame on the line; late_p99_s, late_p50_s: 99 and 50 % quantiles of it
-    write_p99_s: 99 % quantile of the delay of writing to the system; write_worst_s: the worst delay
+    frames: frames sent whole; skipped: frames replaced by a newer due frame; cut: frames accepted only in part
+    late_s: worst delay of the last byte of a frame on the line; late_p99_s, late_p50_s: its 99 and 50 % quantiles
+    write_p99_s, write_worst_s: 99 % quantile and worst delay of writing to the system
     seconds: duration of the sending; priority: priority of the player, in words
     first_s, last_s: when the last bytes of the first and the last frame were on the line, on time.monotonic() [s];
-    None without frames, and of a record
-    on_line: numbers of live frames, in the order given, and when the last byte of each was on
-    the line, on time.monotonic() [s]
+        None without frames, and for a record
+    on_line: numbers of live frames in order, and when the last byte of each was on the line, on time.monotonic() [s]
     """
 
     frames: int
@@ -48,6 +48,6 @@ class PlayReport:
 
 
 def quantile(values: Sequence[float], share: float) -> float:
-    """Return a quantile of some values, 0 of none. Players do not load NumPy."""
+    """Return a quantile of some values, 0 without values. Players do not load NumPy."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(share * len(ordered)))] if ordered else 0.0

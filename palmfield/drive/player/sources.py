@@ -1,4 +1,4 @@
-"""Next frame of a player and its time: of a schedule, and of live frames. The newest due frame wins."""
+"""Next frame of a player and its time, from a schedule or from live frames. The newest due frame is sent."""
 
 import math
 from collections import deque
@@ -9,17 +9,16 @@ from palmfield.drive.player.budget import SoundBudget
 from palmfield.drive.player.messages import LiveFrame, Schedule
 
 CLOSE_S = 1e-6
-"""A line that is free within this time of a frame counts as busy until then [s]."""
+"""Difference below which the time of a free line counts as the time of a frame [s]."""
 LIVE_AHEAD_S = 1e-3
-"""A live frame is written this long before the line is free, so that the line has no pause [s]."""
+"""Time before the line is free at which a live frame is written, so that the line has no pause [s]."""
 
 
 class NextFrame(NamedTuple):
-    """The next frame. at_s: when to write it; due_s: target time of its last byte on the line; data: empty to choose
-    again at this time
+    """The next frame.
 
-    number: number of the frame among all, from 0 on; -1 for repeated or extra frames
-    """
+    at_s: time of writing; due_s: target time of the last byte on the line; data: bytes, empty: choose again at at_s
+    number: number of the frame among all, from 0 on; -1 for repeated or extra frames"""
 
     at_s: float
     due_s: float
@@ -28,12 +27,12 @@ class NextFrame(NamedTuple):
 
 
 class Source(Protocol):
-    """Source of frames. skipped: frames replaced by a newer due one"""
+    """Source of frames. skipped: number of frames replaced by a newer due frame"""
 
     skipped: int
 
     def choose(self, now_s: float, free_s: float) -> NextFrame | None:
-        """Return the next frame, with the line free at a time; None after the end."""
+        """Return the next frame if the line is free at a time; None after the end."""
 
     def sent(self, now_s: float) -> None:
         """Record that the chosen frame was sent."""
@@ -84,9 +83,9 @@ class ScheduleSource:
 
 
 def on_the_line(schedule: Schedule, byte_s: float, free_s: float) -> Iterator[NextFrame]:
-    """Return the frames of a schedule that a line can take, each with `at_s`, when its first byte is on the line.
+    """Return the frames of a schedule that a line can send, each with `at_s`, when its first byte is on the line.
 
-    byte_s: time of a byte on the line [s]; free_s: when the line is free [s], at which the schedule begins
+    byte_s: time of a byte on the line [s]; free_s: time when the line is free and the schedule begins [s]
     """
     source, now = ScheduleSource(schedule, byte_s, free_s), free_s
     while (choice := source.choose(now, max(free_s, now))) is not None:
@@ -99,11 +98,11 @@ def on_the_line(schedule: Schedule, byte_s: float, free_s: float) -> Iterator[Ne
 
 
 class LiveSource:
-    """The newest live frame; old ones fade out. Between silence and full there is a ramp.
+    """The newest live frame; old frames fade out. There is a ramp between silence and full level.
 
-    Frames with a due time wait for it, and of several due frames the newest is sent.
+    Frames with a due time wait for it. Of several due frames the newest is sent.
 
-    reason: reason why it is silent, or ""; muted: whether the caller has muted it
+    reason: reason of silence, or ""; muted: whether the caller has muted the sound
     """
 
     def __init__(
@@ -131,7 +130,7 @@ class LiveSource:
         self._choice: NextFrame | None = None
 
     def accept(self, frame: LiveFrame) -> None:
-        """Add a frame newer than all before."""
+        """Add a frame that is newer than all others."""
         self.muted = False
         if frame.due_s > 0.0:
             self._waiting.append((self._accepted, frame))
@@ -142,7 +141,7 @@ class LiveSource:
         self._accepted += 1
 
     def fade(self) -> None:
-        """Stop showing frames, and let the present sound fade out."""
+        """Use no further frames, and let the present sound fade out."""
         self.muted = True
         self.skipped += len(self._waiting)
         self._waiting.clear()
@@ -152,14 +151,14 @@ class LiveSource:
         self._number, self._newest, self._unsent = number, frame, True
 
     def _show_due(self, now_s: float, free_s: float) -> float:
-        """Show the frame that is to be written by now; returns the time of the next waiting one [s]."""
+        """Use the frame that is due for writing; return the time of the next waiting frame [s]."""
         while len(self._waiting) > 1 and self._begins_s(1) <= max(self._begins_s(0), free_s, now_s):
             self._waiting.popleft()
             self.skipped += 1
         if not self._waiting:
             return math.inf
         begins = self._begins_s(0)
-        # One frame waits in the buffer of the system while another is on the line, as in a schedule
+        # As in a schedule, one frame waits in the buffer of the system while another is on the line
         at = begins if free_s < begins - CLOSE_S else free_s - self._line_s(0)
         if at > now_s:
             return at
@@ -192,7 +191,7 @@ class LiveSource:
         due = frame.due_s if timed else (frame.made_s if self._unsent else now_s) + len(data) * self.byte_s
         at = now_s if timed else max(now_s, free_s - LIVE_AHEAD_S)
         if data == self._sent[0] and not self._unsent:
-            # During a ramp, and until the frame is too old, the next check is soon
+            # During a ramp the next check is soon, at the latest when the frame is too old
             soon = now_s + min(0.01, max(1e-4, self.ramp_s / max(1, len(frame.steps))))
             at = max(at, self._sent[1] + self.refresh_s)
             if at > soon:
@@ -201,10 +200,10 @@ class LiveSource:
         return self._choice
 
     def _ramped(self, frame: LiveFrame, now_s: float) -> float:
-        """Return the share of the level of the newest frame now, which rises and falls within the time of the ramp."""
+        """Return the present share of the level of the newest frame, which rises and falls within the ramp."""
         sounds = self._gain > 0.0 and frame.level > 0.0
         within = self.budget.allows(now_s, sounds)
-        # The age of a frame for a later moment counts from that moment
+        # The age of a frame with a later due time counts from the due time
         old = now_s - max(frame.made_s, frame.due_s) > self.stale_s
         self.reason = "" if within else self.budget.reason
         if old and not self.reason:
