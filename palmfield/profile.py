@@ -15,6 +15,7 @@ import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -211,6 +212,12 @@ def count_arrays(name: str, thing: object) -> None:
 def peak_bytes() -> int:
     """Return the highest resident memory of the process so far [bytes]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def own_peak_bytes() -> int:
+    """Return `peak_bytes` of a copied process without the memory that it now shares with others [bytes]."""
+    lines = Path("/proc/self/smaps_rollup").read_text().splitlines()
+    return peak_bytes() - 1024 * sum(int(line.split()[1]) for line in lines if line.startswith("Shared_"))
 
 
 def arrays_of(thing: object) -> list[Any]:

@@ -298,8 +298,9 @@ def _drawn_in_second_process(tree: xr.DataTree, out: Path, names: Sequence[str])
                 name, failure = second.receive()
             remaining.remove(name)
             yield name, failure and OutputError(failure)
+        _second_bytes[0], phases = second.receive()
         for profile in running[-1:]:
-            profile.add_process(second.receive())
+            profile.add_process(phases)
     except TimeoutError as error:
         LOG.warning("%s; this process draws them", error)
     except (EOFError, OSError):
@@ -321,6 +322,8 @@ def _draw_for_first(talk: Connection) -> None:
 
 _second: list[SecondProcess] = []
 """The process that draws the next pictures, if there is one."""
+_second_bytes = [0]
+"""Memory of the last second process [bytes]."""
 
 
 @contextmanager
@@ -391,7 +394,7 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
 
 
 def _spent(started: float) -> dict[str, Any]:
-    return {"wall_time_s": time.perf_counter() - started, "peak_memory_MiB": peak_bytes() / 2**20}
+    return {"wall_time_s": time.perf_counter() - started, "peak_memory_MiB": (peak_bytes() + _second_bytes[0]) / 2**20}
 
 
 def _shown_better(sim: Simulation) -> list[str]:

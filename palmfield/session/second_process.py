@@ -18,7 +18,7 @@ from types import FrameType
 from typing import Any
 
 from palmfield.phases import phase, running
-from palmfield.profile import Profile
+from palmfield.profile import Profile, own_peak_bytes
 
 STOP_S, THREAD_S = 0.2, 0.05
 """Time to remove unfinished files, and for the end of a thread [s]."""
@@ -42,6 +42,7 @@ def possible(modules: Sequence[str]) -> bool:
 class SecondProcess:
     """A copy of this process that loads modules, and then calls a function with its end of a connection.
 
+    Last it sends its memory (`own_peak_bytes`) and, while this process is measured, its phases.
     talk: this end of the connection; it raises EOFError or OSError after the second process has ended
     """
 
@@ -93,8 +94,7 @@ def _second(
             for module in modules:
                 import_module(module)
         work(talk)
-        if running:
-            talk.send(running[-1].own_phases())
+        talk.send((own_peak_bytes(), running[-1].own_phases() if running else {}))
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -78,7 +78,13 @@ def gone(number):
 
 def test_pictures_are_those_of_one_process(small_scene, tmp_path):
     path = small_scene()
-    code = "with recorded_run.second_process_draws():\n    begin()\n    print(*drawn().files)"
+    code = """
+with recorded_run.second_process_draws():
+    begin()
+    result = drawn()
+    print(*result.files)
+assert result.summary["peak_memory_MiB"] > recorded_run.peak_bytes() / 2**20 + 100
+"""
     said, errors, code = ended(code, path, tmp_path / "two")
     names = ["result.nc", "summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc"]
     assert said.split()[1:] == names and code == 0 and errors == ""
@@ -156,6 +162,19 @@ def test_a_killed_command_takes_its_second_process_along(number, small_scene, tm
     while not gone(second) and time.monotonic() - began < 20.0:
         time.sleep(0.01)
     assert gone(second) and not (tmp_path / ".unfinished").exists()
+
+
+def test_the_memory_of_a_second_process_is_what_it_does_not_share():
+    code = """
+import numpy
+from palmfield.session.second_process import SecondProcess
+shared = numpy.ones(2**25)
+second = SecondProcess([], lambda talk: print(numpy.ones(2**24)[0]))
+print(second.receive()[0] / 2**20)
+second.end()
+"""
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert 128.0 < float(said.split()[-1]) < 180.0
 
 
 def test_a_process_with_threads_or_pictures_is_not_copied(monkeypatch):
