@@ -17,6 +17,7 @@ def split(value: Any) -> Any:
 
 Numbers = Annotated[tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(split)]
 Names = Annotated[tuple[str, ...], BeforeValidator(split)]
+Amounts = Annotated[tuple[Annotated[float, Field(ge=0)], ...], BeforeValidator(split)]
 Shares = Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(split)]
 Decimals = Annotated[tuple[float, ...], BeforeValidator(split)]
 Vector = Annotated[tuple[float, float, float], BeforeValidator(split)]

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
-from palmfield.config.base import Config, Names, NonNegative, Positive, Shares
+from palmfield.config.base import Amounts, Config, Names, NonNegative, Positive, Shares
 
 Length = Annotated[float, Field(ge=5e-4, le=1.0)]
 ArpLaw = Literal["default", "alpha"]
@@ -167,6 +167,18 @@ class SkinConfig(Config):
         description="body_sound shadows: further bodies that cast shadows, with their geoms and those of their child "
         "bodies",
     )
+    receptors: Literal["off", "on"] = Field(
+        "off", description="on: record the motion at afferents (SA1, RA1, PC) and compute their levels and spikes"
+    )
+    receptor_densities_per_cm2: Amounts = Field(
+        (), description="receptors on: SA1, RA1 and PC afferents per cm2 (default: by region of the hand, receptors.md)"
+    )
+    receptor_depths_m: Shares = Field(
+        (), description="receptors on: depths of the endings of SA1, RA1 and PC (default: 0.0007 0.0007 0.002)"
+    )
+    receptor_seed: Annotated[int, Field(ge=0)] = Field(
+        0, description="receptors on: number of the draw of the places of afferents"
+    )
     focus_region_m: Annotated[float, Field(ge=0, le=0.5)] = Field(
         0.02,
         description="radius of the region in which elements are fine enough for a focus: all foci in it share one "
@@ -201,6 +213,7 @@ class SkinConfig(Config):
                 f"{springs[0]} applies to base 'springs', but base is '{self.base}': remove the key, or set base"
             )
         self._check_sheets()
+        self._check_receptors()
         if self.obstacles and self.body_sound != "shadows":
             raise ValueError(
                 f"obstacles need body_sound 'shadows', but body_sound is '{self.body_sound}': set it to shadows"
@@ -260,6 +273,16 @@ class SkinConfig(Config):
             raise ValueError(
                 f"materials sets the preset of every sheet, and {own[0]} that of a single one: remove one of the two"
             )
+
+    def _check_receptors(self) -> None:
+        given = sorted(key for key in self.model_fields_set if key.startswith("receptor_"))
+        if given and self.receptors == "off":
+            raise ValueError(f"{given[0]} applies to receptors 'on', but receptors is 'off': remove the key, or set on")
+        for key in ("receptor_densities_per_cm2", "receptor_depths_m"):
+            if len(getattr(self, key)) not in (0, 3):
+                raise ValueError(f"{key} has {len(getattr(self, key))} numbers; give three: SA1, RA1 and PC")
+        if self.receptor_densities_per_cm2 and not any(self.receptor_densities_per_cm2):
+            raise ValueError("receptor_densities_per_cm2 is 0 for all classes; give one above 0, or set receptors off")
 
     @property
     def unit(self) -> str:

@@ -12,7 +12,9 @@ import xarray as xr
 from rich.progress import Progress
 
 from palmfield.errors import SceneError
+from palmfield.estimate.array_inputs import stimulus_of
 from palmfield.estimate.cost import estimate_s
+from palmfield.estimate.population_levels import population_levels
 from palmfield.estimate.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.outputs.motion import normal_component, pieces
 from palmfield.outputs.schema import instances
@@ -97,8 +99,11 @@ def _whole_summary(
     for name, ds in instances(tree, "skin").items():
         loudest, normal = recorder.loudest[sim.skins.index(name)], np.asarray(normal_component(ds))
         arp_peaks = np.concatenate([values.max(axis=1) for _, values in pieces(ds, "arp")])
+        begun_s, model = recorder.begun_s, sim.runtime.model
+        config = model.stimuli[stimulus_of(model, sim.skins.index(name))].config
+        populations = population_levels(ds, config, times, begun_s)
         skins[name] = skin_numbers(
-            sim, name, loudest, budgets[name], times, normal, arp_peaks, begun_s=recorder.begun_s
+            sim, name, loudest, budgets[name], times, normal, arp_peaks, begun_s=begun_s, populations=populations
         )
     run = recorder.loudest, recorder.peak_drive
     stimuli = stimulus_numbers(sim, *run, recorder.turns)

@@ -4,17 +4,13 @@ Each observer has a level, a reason why it applies or is refused, and a spread.
 """
 
 import math
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from palmfield import cache
 from palmfield.estimate.array_inputs import stimulus_of
-from palmfield.hand.articulated import articulate
-from palmfield.hand.labels import PALM_AREAS, REGIONS, region_labels
-from palmfield.hand.preset import load_preset
-from palmfield.hand.surface import hand_surface
+from palmfield.hand.labels import PALM_AREAS
+from palmfield.hand.regions import region_at
 from palmfield.hand.triangles import vertex_areas
 from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
 from palmfield.perception.maps import felt_lines, lines_in, lines_of, wanted_s
@@ -24,7 +20,7 @@ from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
-from palmfield.types import Float, Int
+from palmfield.types import Float
 
 MOVED_SHARE = 0.5
 """Fraction of the largest weighted amplitude above which skin counts as moved, for area summation."""
@@ -203,25 +199,3 @@ def _refused(
     if model.spec.skins[skin].moves or sounding[0].spec.frame_moves or moved_m > STILL_m:
         return "it was measured with hand and focus at rest, but in this scene one of them moves"
     return why_refused(sounding[0].config)
-
-
-def region_at(hand: str, point: Float) -> str:
-    """Return the region (`palmfield.hand.labels.REGIONS`) of a hand in which a point of its skin lies.
-
-    hand: name of a preset, or file; point: point in the hand frame, at rest [m], shape (3,)
-    """
-    vertices, labels = _labelled(hand)
-    return REGIONS[int(labels[np.linalg.norm(vertices - point, axis=1).argmin()])]
-
-
-@lru_cache(maxsize=8)
-def _labelled(hand: str) -> tuple[Float, Int]:
-    """Return the vertices of a hand [m], shape (n, 3), and the region number of each, shape (n,)."""
-    preset = load_preset(hand)
-
-    def made() -> cache.Arrays:
-        surface = hand_surface(preset).surface
-        return {"vertices": surface.vertices, "labels": region_labels(articulate(preset), surface)[1]}
-
-    kept = cache.kept("regions", (preset,), made)
-    return kept["vertices"], kept["labels"]

@@ -37,6 +37,7 @@ def skin_numbers(
     arp_peaks: Float,
     *,
     begun_s: float = 0.0,
+    populations: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return for one skin: solver, error estimate, p0 band and sensation level, units in the names.
 
@@ -44,7 +45,8 @@ def skin_numbers(
     budget: as returned by `estimated_budget`.
     times: times of the records [s], shape (t,). normal: displacement along the outward normal [m], shape (t, S).
     arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo time at the start of the run
-    [s]. `reduction_velocity_error_relative` is the velocity error of modes; other solvers do not have this entry.
+    [s]. populations: levels by `population_levels`, if any.
+    `reduction_velocity_error_relative` is the velocity error of modes; other solvers do not have this entry.
     input_band_low, _high: factors of the motion over all inputs with a known range (`combined`); input_band_parts: of
     each input; peak_displacement_low_m, _high_m: ends of its band; verdict: as returned by
     `palmfield.outputs.verdict.verdict`.
@@ -85,6 +87,7 @@ def skin_numbers(
         result |= {} if velocity_error is None else {"reduction_velocity_error_relative": velocity_error}
     reference = runtime.work.reference
     result |= felt_levels(model, number, loudest, radiation, reference, times, normal, arp_peaks, begun_s=begun_s)
+    result |= populations or {}
     return result | {"verdict": verdict(result)}
 
 

@@ -120,6 +120,15 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "pressure": Variable(
             ("time", "vertex"), "float32", "Pa", "sound pressure, peak amplitude on the skin patch"
         ),
+        "afferent_class": Variable(("afferent",), "str", "", "class of each afferent: sa1, ra1 or pc"),
+        "afferent_position": Variable(
+            ("afferent", "xyz"), "float64", "m", "points of the skin above the afferents, at rest", _BODY
+        ),
+        "afferent_motion": Variable(
+            ("time", "afferent"), "float32", "m",
+            "motion at the endings of the afferents, as displacement of a probe of 1 mm radius with the same effect",
+            sign=_INTO,
+        ),
     },
     "surface": _mesh("whole surface of the body of the skin")
     | {

@@ -17,7 +17,7 @@ from palmfield.outputs.budget_text import (
     widest,
 )
 from palmfield.outputs.verdict import RULE, band_text, chosen_observer, first_line, level_text, shown_level, top_line
-from palmfield.perception.registry import ALL_OBSERVERS
+from palmfield.perception.registry import READ_FIRST
 from palmfield.terminal import printed, table
 
 WIDTH = 110
@@ -180,7 +180,7 @@ def _motion(skin: Mapping[str, Any]) -> list[TextRow]:
 def _levels(skin: Mapping[str, Any]) -> list[TextRow]:
     """Return a row for each observer: its level with its band, its lines, and why it applies or is refused."""
     rows = []
-    for number, name in enumerate(ALL_OBSERVERS, start=1):
+    for number, name in enumerate(READ_FIRST, start=1):
         if f"level_{name}_dB_SL" not in skin:
             continue
         (level, lines), why = shown_level(skin, name), skin.get(f"level_{name}_why", "")

@@ -10,18 +10,20 @@ from typing import Any
 
 from palmfield.outputs.budget_text import Part, combined, input_parts, parts_text
 from palmfield.perception.force_threshold import FORCE_OBSERVER
-from palmfield.perception.registry import ALL_OBSERVERS
+from palmfield.perception.registry import READ_FIRST
 
-RULE = "first observer that applies, mid-air before contact"
+RULE = "first observer that applies: mid-air, then afferents, then contact"
 DB = 20.0 / math.log(10.0)
 """Decibels per natural logarithm of a factor."""
 
 
 def shown_level(skin: Mapping[str, Any], name: str) -> tuple[float | None, str]:
-    """Return the level of an observer [dB SL] that every output shows, and the frequency lines it includes.
+    """Return the level of an observer [dB SL] that every output shows, and its frequency lines or class of afferents.
 
     It includes all lines, or the main line for observers without a level of several lines. None if refused.
     """
+    if (decides := skin.get(f"level_{name}_class")) is not None:
+        return skin[f"level_{name}_dB_SL"], f"{str(decides).upper()} afferents"
     level, frequencies = skin.get(f"level_all_lines_{name}_dB_SL"), skin.get("line_frequencies_Hz", ())
     if level is not None and len(frequencies) > 1:
         return level, f"all {len(frequencies)} lines"
@@ -40,7 +42,7 @@ def top_line(skin: Mapping[str, Any], name: str) -> str:
 
 def chosen_observer(skin: Mapping[str, Any]) -> str | None:
     """Return the observer shown for a skin, by RULE; None if all are refused or the run has no levels."""
-    return next((name for name in ALL_OBSERVERS if shown_level(skin, name)[0] is not None), None)
+    return next((name for name in READ_FIRST if shown_level(skin, name)[0] is not None), None)
 
 
 def level_parts(skin: Mapping[str, Any], name: str) -> list[Part]:
@@ -85,7 +87,7 @@ def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
     """
     name = chosen_observer(skin)
     if name is None:
-        reasons = [str(skin[f"level_{one}_why"]) for one in ALL_OBSERVERS if f"level_{one}_why" in skin]
+        reasons = [str(skin[f"level_{one}_why"]) for one in READ_FIRST if f"level_{one}_why" in skin]
         reason = reasons[-1].partition(": ")[2] if reasons else "the run was interrupted before levels were computed"
         return {"felt": "not known", "because": reason}
     level, lines = shown_level(skin, name)

@@ -64,8 +64,8 @@ class Recorded(NamedTuple):
     """One step whose data have not been written yet.
 
     times: ends of its substeps [s], shape (s,). posed: its pose. emitted: emission at `times`.
-    motions: motions of each skin after each substep: displacement [m] and velocity [m/s], shape (s, 2, 3 S), or their
-        coordinates, shape (s, 2, r), and the matrix (r, 3 S).
+    motions: what is recorded of each skin after each substep (`SkinModel.recorded`) and its rate, shape (s, 2, m), or
+        their coordinates, shape (s, 2, r), and the matrix (r, m).
     pressed: numbers of the force samples of each skin and mean ARP there [Pa], None in silence.
     start_s: start of the step, MuJoCo time. forces: forces on the parts of each body [N], and torques [N m], shape (2,
     b, 3)
@@ -144,7 +144,7 @@ class Recorder:
         """Record the state before the first step, and begin to observe steps."""
         work, posed = self.runtime.work, self.runtime.posed
         now_s = self.begun_s = self.world.time
-        work.observe = tuple(skin.surface_vectors for skin in self.model.skins)
+        work.observe = tuple(skin.recorded for skin in self.model.skins)
         motions = []
         for number, (stepper, numbers) in enumerate(self.runtime.skin_states()):
             reader = work.reader(number, stepper)
@@ -269,13 +269,16 @@ class Recorder:
     def _block(self, times: Float, posed: PosedScene, emitted: Emitted, motions: list[Float32]) -> Block:
         block: Block = {"/": {"time": times - self.begun_s}}
         for number, skin in enumerate(self.model.skins):
-            motion = motions[number]
+            nodes = len(skin.nodes[0])
+            motion = motions[number][:, :, : 3 * nodes].reshape(2, len(times), nodes, 3)
             sound = self._sound(posed, number, emitted, times)
             normal = _along(motion[0], skin.nodes[1].astype(np.float32))
             block[group("skin", skin.spec.name)] = {
                 "displacement": motion[0], "normal_displacement": normal, "velocity": motion[1],
                 "arp": sound.arp, "pressure": sound.amplitude,
             }  # fmt: skip
+            if skin.innervation is not None:
+                block[group("skin", skin.spec.name)]["afferent_motion"] = motions[number][0, :, 3 * nodes :].copy()
         self._add_stimuli(block, times, posed)
         self._add_drive(block, times, posed)
         return block
@@ -371,13 +374,13 @@ class Recorder:
 
 
 def _motion(parts: Sequence[tuple[Float | Float32, Float | None]]) -> Float32:
-    """Return the motion of a skin after the substeps of some steps, shape (2, t, S, 3); parts: as in Recorded."""
+    """Return what is recorded of a skin after the substeps of some steps, shape (2, t, m); parts: as in Recorded."""
     numbers, matrix = np.concatenate([values for values, _ in parts]).swapaxes(0, 1), parts[0][1]
     times, count = numbers.shape[1], numbers.shape[2] if matrix is None else matrix.shape[1]
     result = np.empty((2, times, count), np.float32)
     if matrix is None:
         result[:] = numbers
-        return result.reshape(2, times, -1, 3)
+        return result
 
     def read(kind: int, own: slice) -> None:
         result[kind, own] = numbers[kind, own] @ matrix
@@ -385,7 +388,7 @@ def _motion(parts: Sequence[tuple[Float | Float32, Float | None]]) -> Float32:
     blocks = [(partial(read, kind, slice(i, i + ROWS)),) for kind in range(2) for i in range(0, times, ROWS)]
     with one_blas_thread:
         share(blocks, cores())
-    return result.reshape(2, times, -1, 3)
+    return result
 
 
 def _along(vectors: Float32, normals: Float32) -> Float32:
@@ -410,6 +413,8 @@ def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compi
         own: dict[str, NDArray[Any]] = {
             "rest_position": nodes, "rest_normal": normals, "face": skin.faces, "depth": skin.depth,
         }  # fmt: skip
+        if skin.innervation is not None:
+            own |= {"afferent_class": skin.innervation.names, "afferent_position": skin.innervation.positions}
         whole: dict[str, NDArray[Any]] = {"rest_position": vertices, "face": faces}
         if skin.carrier.hand is not None:
             for arrays, points in ((own, nodes), (whole, vertices)):

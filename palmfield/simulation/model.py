@@ -36,6 +36,7 @@ from palmfield.types import Float, Int, Surface
 if TYPE_CHECKING:  # imported at use: many bodies are in one piece, and most stimuli have no path on a surface
     from palmfield.hand.posed_surface import FaceSampler, SkinBinding
     from palmfield.hand.skinning import SkinnedSurface
+    from palmfield.simulation.innervation import Innervation
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
     from palmfield.stimulus.surface_path import SurfacePath
 
@@ -281,6 +282,21 @@ class SkinModel:
     def surface_vectors(self) -> sparse.csr_matrix:
         """Return the operator from unknowns to displacements of the surface nodes, three a node, shape (3 S, ndof)."""
         return surface_vectors(self.layer.mesh, self.layer.system)
+
+    @locked_cached_property
+    def innervation(self) -> "Innervation | None":
+        """Return the afferents of the layer, None with key `receptors` off."""
+        if self.spec.config.receptors == "off":
+            return None
+        from palmfield.simulation.innervation import innervation_of
+
+        return innervation_of(self.layer)
+
+    @locked_cached_property
+    def recorded(self) -> sparse.csr_matrix:
+        """Return the operator from unknowns to what a run records: `surface_vectors`, then motion at the afferents."""
+        units = self.innervation
+        return self.surface_vectors if units is None else sparse.vstack([self.surface_vectors, units.operator], "csr")
 
     @locked_cached_property
     def closed_surface(self) -> tuple[Float, Int]:
