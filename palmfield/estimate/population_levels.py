@@ -10,7 +10,7 @@ from palmfield.config import StimulusConfig
 from palmfield.estimate.sensation_levels import CLOCK_S
 from palmfield.outputs.schema import has_records
 from palmfield.perception.afferents import AFFERENTS
-from palmfield.perception.populations import POPULATIONS, class_level_dB, unit_levels
+from palmfield.perception.populations import POPULATIONS, class_level_dB, spread_of, unit_levels
 from palmfield.stimulus.schedule import steady_stretch_s
 from palmfield.types import Float
 
@@ -39,8 +39,7 @@ def population_levels(skin: xr.Dataset, config: StimulusConfig, times: Float, be
         decides = max(by_class, key=lambda one: by_class[one], default=None)
         level = -math.inf if decides is None else by_class[decides]
         numbers[f"level_{name}_dB_SL"] = level if math.isfinite(level) else None
-        numbers[f"level_{name}_spread_dB"] = population.spread_dB
-        numbers[f"level_{name}_spread_of"] = population.spread_of
+        numbers[f"level_{name}_spread_dB"], numbers[f"level_{name}_spread_of"] = spread_of(decides or "pc")
         numbers[f"level_{name}_class"] = decides
         why = f"applies: {population.why}" if math.isfinite(level) else "refused: no afferent of its classes moves"
         numbers[f"level_{name}_why"] = why

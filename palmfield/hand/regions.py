@@ -2,7 +2,7 @@
 
 from functools import lru_cache
 
-from scipy.spatial import cKDTree
+import scipy  # loads its parts at first use
 
 from palmfield import cache
 from palmfield.hand.articulated import articulate
@@ -23,7 +23,7 @@ def region_at(hand: str, point: Float) -> str:
 def regions_at(hand: str, points: Float) -> list[str]:
     """Return `region_at` for several points [m], shape (n, 3)."""
     vertices, labels = _labelled(hand)
-    return [REGIONS[int(number)] for number in labels[cKDTree(vertices).query(points)[1]]]
+    return [REGIONS[int(number)] for number in labels[scipy.spatial.cKDTree(vertices).query(points)[1]]]
 
 
 def part_of(region: str) -> str | None:

@@ -180,9 +180,8 @@ def _motion(skin: Mapping[str, Any]) -> list[TextRow]:
 def _levels(skin: Mapping[str, Any]) -> list[TextRow]:
     """Return a row for each observer: its level with its band, its lines, and why it applies or is refused."""
     rows = []
-    for number, name in enumerate(READ_FIRST, start=1):
-        if f"level_{name}_dB_SL" not in skin:
-            continue
+    present = [name for name in READ_FIRST if f"level_{name}_dB_SL" in skin]
+    for number, name in enumerate(present, start=1):
         (level, lines), why = shown_level(skin, name), skin.get(f"level_{name}_why", "")
         details = [why.partition(": ")[2]] if why else []
         if level is None:

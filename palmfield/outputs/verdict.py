@@ -12,7 +12,7 @@ from palmfield.outputs.budget_text import Part, combined, input_parts, parts_tex
 from palmfield.perception.force_threshold import FORCE_OBSERVER
 from palmfield.perception.registry import READ_FIRST
 
-RULE = "first observer that applies: mid-air, then afferents, then contact"
+RULE = "first observer that applies: mid-air, afferents, contact"
 DB = 20.0 / math.log(10.0)
 """Decibels per natural logarithm of a factor."""
 

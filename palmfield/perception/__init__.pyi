@@ -1,3 +1,9 @@
+from .afferents import AFFERENTS as AFFERENTS
+from .afferents import Afferent as Afferent
+from .afferents import potentials as potentials
+from .afferents import probe_displacement as probe_displacement
+from .afferents import probe_strain as probe_strain
+from .afferents import spikes as spikes
 from .detection import detection_probability as detection_probability
 from .detection import summed_gain as summed_gain
 from .direction import direction_share as direction_share
@@ -18,4 +24,9 @@ from .observers import levels_dB_SL as levels_dB_SL
 from .observers import line_amplitude as line_amplitude
 from .observers import line_amplitudes as line_amplitudes
 from .observers import threshold_m as threshold_m
+from .populations import DENSITIES_PER_CM2 as DENSITIES_PER_CM2
+from .populations import POPULATIONS as POPULATIONS
+from .populations import Population as Population
+from .populations import class_level_dB as class_level_dB
+from .populations import unit_levels as unit_levels
 from .registry import ALL_OBSERVERS as ALL_OBSERVERS

@@ -15,8 +15,8 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
+import scipy  # loads its parts at first use
 from numpy.typing import ArrayLike
-from scipy import signal
 
 from palmfield.errors import OutputError
 from palmfield.types import Complex, Float, Int
@@ -134,10 +134,10 @@ def spikes(afferent: Afferent, motion: ArrayLike, step_s: float) -> tuple[Float,
 
     motion, step_s: as for `potentials`, with the same errors
     """
-    motion = np.asarray(motion, dtype=np.float64)
+    motion = _checked(motion, step_s)
     moments: list[Float] = []
     numbers: list[Int] = []
-    for first in range(0, max(1, motion.shape[1] if motion.ndim == 2 else 1), BLOCK):
+    for first in range(0, motion.shape[1], BLOCK):
         driven, step = _driven(afferent, motion[:, first : first + BLOCK], step_s)
         loud = np.flatnonzero(_integrated(driven, step, afferent.tau_s).max(axis=0, initial=0.0) >= 1.0)
         for number, fired in _fired(afferent, driven[:, loud], step):
@@ -152,11 +152,7 @@ def spikes(afferent: Afferent, motion: ArrayLike, step_s: float) -> tuple[Float,
 
 def _driven(afferent: Afferent, motion: ArrayLike, step_s: float) -> tuple[Float, float]:
     """Return the positive half of the filtered motion, (k, n), and its time step [s]."""
-    motion = np.asarray(motion, dtype=np.float64)
-    if motion.ndim != 2 or not np.isfinite(motion).all():
-        raise OutputError(f"the motion of the endings has shape {motion.shape}; give finite numbers of shape (t, n)")
-    if not step_s > 0.0:
-        raise OutputError(f"step_s is {step_s:g}; allowed: above 0")
+    motion = _checked(motion, step_s)
     parts = math.ceil(step_s / LONGEST_STEP_S - 1e-9)
     if parts > 1 and len(motion) > 1:
         shares = (np.arange(parts) / parts)[:, None]
@@ -164,17 +160,26 @@ def _driven(afferent: Afferent, motion: ArrayLike, step_s: float) -> tuple[Float
         motion = np.concatenate([between.reshape(-1, motion.shape[1]), motion[-1:]])
     step = step_s / parts
     analogue = [2.0 * np.pi * np.array(one) for one in (afferent.zeros_Hz, afferent.poles_Hz)]
-    sections = signal.zpk2sos(*signal.bilinear_zpk(*analogue, afferent.gain_per_m, 1.0 / step))
+    sections = scipy.signal.zpk2sos(*scipy.signal.bilinear_zpk(*analogue, afferent.gain_per_m, 1.0 / step))
     # A skin that is moved at the start has been so for long
-    settled = signal.sosfilt_zi(sections)[:, :, None] * motion[:1]
-    filtered, _ = signal.sosfilt(sections, motion, axis=0, zi=settled)
+    settled = scipy.signal.sosfilt_zi(sections)[:, :, None] * motion[:1]
+    filtered, _ = scipy.signal.sosfilt(sections, motion, axis=0, zi=settled)
     return np.maximum(filtered, 0.0), step
+
+
+def _checked(motion: ArrayLike, step_s: float) -> Float:
+    motion = np.asarray(motion, dtype=np.float64)
+    if motion.ndim != 2 or not np.isfinite(motion).all():
+        raise OutputError(f"the motion of the endings has shape {motion.shape}; give finite numbers of shape (t, n)")
+    if not step_s > 0.0:
+        raise OutputError(f"step_s is {step_s:g}; allowed: above 0")
+    return motion
 
 
 def _integrated(driven: Float, step: float, tau_s: float) -> Float:
     """Return V of tau V' = I - V from 0, for an input that is linear in each step, (k, n)."""
     left, begin, end = _step_of(step, tau_s)
-    level = signal.lfilter([end, begin], [1.0, -left], driven, axis=0)
+    level = scipy.signal.lfilter([end, begin], [1.0, -left], driven, axis=0)
     result: Float = level
     return result
 

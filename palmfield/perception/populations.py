@@ -7,7 +7,6 @@ SA1, RA1: at least one unit fires (one impulse of RA1 can be felt: A. B. Vallbo 
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -42,44 +41,39 @@ PROBES_M = (5e-4, 3e-3)
 
 @dataclass(frozen=True)
 class Population:
-    """An observer that reads all afferents of some classes.
+    """An observer that reads all afferents of some classes; the class with the highest level decides.
 
-    classes: classes; the highest of their levels is used. Other fields as in `palmfield.perception.observers.Observer`.
+    why: one line on its meaning; `spread_of` gives the spread of each class
     """
 
     name: str
     classes: tuple[str, ...]
     why: str
-    spread_dB: float
-    spread_of: str
-
-
-def _spread_dB(name: str) -> float:
-    """Return the largest change of the level of a class if the probe of its thresholds had another radius [dB]."""
-    if name == "pc":
-        spread = OBSERVERS["bolanowski_1988"].spread_dB
-        assert spread is not None
-        return spread
-    own = [largest_under_probe(AFFERENTS[name], radius) for radius in (PROBE_M, *PROBES_M)]
-    return max(abs(20.0 * math.log10(one / own[0])) for one in own)
-
-
-def _population(name: str, why: str, *classes: str) -> Population:
-    spread = max(map(_spread_dB, classes))
-    of = "radius of the probe of the thresholds, 0.5 to 3 mm" if classes != ("pc",) else "threshold of the contactor"
-    return Population(name, classes, why, spread, of)
 
 
 POPULATIONS = {
     one.name: one
     for one in (
-        _population("population_all", "all classes of afferents; the class with the highest level decides", *AFFERENTS),
-        _population("population_pc", "PC afferents, summed over the area: vibration above 50 Hz", "pc"),
-        _population("population_ra", "RA1 afferents, the most excited unit: flutter, 5 to 50 Hz", "ra1"),
-        _population("population_sa", "SA1 afferents, the most excited unit: pressure, below 5 Hz", "sa1"),
+        Population(
+            "population_all", tuple(AFFERENTS), "all classes of afferents; the one with the highest level decides"
+        ),
+        Population("population_pc", ("pc",), "PC afferents, summed over the area: vibration above 50 Hz"),
+        Population("population_ra", ("ra1",), "RA1 afferents, the most excited unit: flutter, 5 to 50 Hz"),
+        Population("population_sa", ("sa1",), "SA1 afferents, the most excited unit: pressure, below 5 Hz"),
     )
 }
 """Observers by name, in the order in which to read them."""
+
+
+def spread_of(name: str) -> tuple[float, str]:
+    """Return the half-width of the spread of the level of a class [dB], and its origin."""
+    if name == "pc":
+        spread = OBSERVERS["bolanowski_1988"].spread_dB
+        assert spread is not None
+        return spread, "reading of the threshold of the contactor"
+    own, *others = (largest_under_probe(AFFERENTS[name], radius) for radius in (PROBE_M, *PROBES_M))
+    spread = max(abs(20.0 * math.log10(one / own)) for one in others)
+    return round(spread, 1), "radius of the probe of the thresholds of single units, 0.5 to 3 mm"
 
 
 @cache
@@ -121,8 +115,3 @@ def class_level_dB(name: str, levels: Float) -> float:
         raise OutputError(f"class of afferents is '{name}'; allowed: {', '.join(AFFERENTS)}")
     decides = float(np.linalg.norm(levels)) / pc_criterion() if name == "pc" else float(levels.max(initial=0.0))
     return 20.0 * math.log10(decides) if decides > 0.0 else -math.inf
-
-
-def population_level_dB(population: Population, levels: Mapping[str, Float]) -> float:
-    """Return the level of a population [dB SL]. levels: levels of the units by class, as of `unit_levels`."""
-    return max((class_level_dB(name, levels[name]) for name in population.classes if name in levels), default=-math.inf)

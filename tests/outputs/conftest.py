@@ -135,6 +135,7 @@ def static_arrays():
         "/mujoco/scene": mujoco_arrays(mujoco.MjModel.from_xml_string(MJCF)),
         "/sensors/nose": sensor_channels(["normal_displacement", "arp"], ["m", "Pa"]),
     }
+    groups["/skin/tip"] |= {"afferent_class": np.array(["sa1", "ra1", "pc"]), "afferent_position": np.zeros((3, 3))}
     for kind in ("skin", "surface"):
         groups[f"/{kind}/tip"] |= _bones(len(groups[f"/{kind}/tip"]["rest_position"]))
     return groups
@@ -185,6 +186,9 @@ def block_arrays(static_arrays):
         }
         for name in ("palm", "tip"):
             groups[f"/skin/{name}"] = moving(f"/skin/{name}", time)
+            if name == "tip":
+                swing = 1e-6 * np.sin(2 * np.pi * SINE_HZ * time)[:, None] * [1.0, 2.0, 3.0]
+                groups["/skin/tip"]["afferent_motion"] = swing.astype(np.float32)
             force = np.tile([0.0, 0.0, 0.003], (count, 1))
             groups[f"/forces/{name}"] = {"force": force, "torque": 0.01 * force}
             pressed = static_arrays[f"/surface/{name}"]["loudest_arp"][static_arrays[f"/surface/{name}"]["face"]]

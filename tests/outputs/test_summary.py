@@ -208,7 +208,8 @@ def test_the_main_table_has_14_lines_and_the_verdict_first(one_skin):
         f"1 um ({low:.2g} to {high:.2g} um for p0 x 0.3 to 4.2, material x 0.58 to 1.6)"
     )
     assert (
-        "bolanowski_1988" in rows["level above threshold"] and "mid-air before contact" in rows["level above threshold"]
+        "bolanowski_1988" in rows["level above threshold"]
+        and "mid-air, afferents, contact" in rows["level above threshold"]
     )
 
 
