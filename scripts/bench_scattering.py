@@ -262,15 +262,15 @@ def main() -> None:
 ALL = "| body | model | peak, Pa | L2 | L2 of the mean | spot | up | sideways | s |"
 REPORT = """# Scattering by boundary elements, and the errors of cheaper models
 
-For everyone who uses `body_sound` `scattering`. `{command}`, {machine}, Warp {warp}, commit {commit}. 40 kHz, 20 C.
+`{command}`, {machine}, Warp {warp}, commit {commit}. 40 kHz, 20 C.
 "Edges per wavelength" is the wavelength divided by the mean edge. Times are those of whole calls of `scatter`. Memory
 is the peak that the call adds. GMRES stops at a residual of 1e-4.
 
 ## Rigid sphere in a plane wave
 
 The error is the relative L2 difference of the surface pressure from the series. The force is from the wall pressure,
-divided by pi a^2 E. For ka = 1, 3 and pi, the mesh is finer than the wavelength requires, to
-represent the shape of the sphere.
+divided by pi a^2 E. For ka = 1, 3 and pi, the shape of the sphere needs a finer mesh than the
+wavelength.
 
 | ka | elements | edges per wavelength | error | force | series | difference | iterations | s | MB |
 |---|---|---|---|---|---|---|---|---|---|

@@ -154,45 +154,28 @@ def main() -> None:
         arguments.out,
         [head, rule, *(f"| general, {line[2:]}" if part is parts[-1] else line for part in parts for line in part)],
     )
-    round_ones, endless, general = (short(parts[i], r"[\w ]+, ([^|]+)") for i in (0, 1, 3))
-    plates = short(parts[2], r"(.*), [\d.]+ m/s")
+    round_ones, general = (short(parts[i], r"[\w ]+, ([^|]+)") for i in (0, 3))
     lines = [
-        "# Time and error for the reference disc and fast foci",
+        "# Time and error for the reference disc",
         "",
         "    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_skin_targets.py",
         "",
         f"For developers of solvers. {processor()}, {os.cpu_count()} cores, load average {busy:.1f} at the start; "
         f"commit {git_commit()}. Medians of {arguments.runs} runs with compiled kernels. {link} also has the "
-        "slowest run, the time of all threads, the mesh, and a yardstick (a float64 product of 1000 x 1000 matrices "
-        "on one thread).",
+        "slowest run, the time of all threads, the mesh, a yardstick (a float64 product of 1000 x 1000 matrices on "
+        "one thread), and the cases of [lateral waves](skin_lateral_waves.md).",
         "",
-        "## Disc (`axisymmetric`, target 1 %) and infinite slab (`lateral_waves`)",
+        "## Solver `axisymmetric`, target 1 %",
         "",
-        "Ecoflex 00-10, 120 x 20 mm, bonded, spot of 10.3 mm, 0.2 s at 2000 times, at the centre and 10 mm off. The "
+        "Ecoflex 00-10, 120 x 20 mm, bonded, free, fixed or roller sides, spot of 10.3 mm, 0.2 s at 2000 times, at the "
+        "centre and 10 mm off. The "
         "error is in L2 of the normal displacement at the worse point, compared with a finer solution of the same "
         "solver (consistency; [skin](skin.md) has accuracy).",
-        "",
-        "Disc with free, fixed and roller sides:",
         "",
         *SHORT,
         *round_ones,
         "",
-        "Infinite slab:",
-        "",
-        *SHORT,
-        *endless,
-        "",
-        "## Fast foci (`lateral_waves`, target 5 % of the displacement)",
-        "",
-        "Infinite plate of 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s. A spot of 6 mm moves over 160 "
-        "mm at 3, 5 and 7 m/s. The error is in L2 of the normal velocity at the end, at every 37th of 241 x 121 "
-        "points, "
-        "compared with tolerance 1e-3.",
-        "",
-        *SHORT,
-        *plates,
-        "",
-        "## Disc by general elements (`spectral_elements`, target 2 %)",
+        "## Solver `spectral_elements`, target 2 %",
         "",
         f"Medians of {arguments.general_runs} runs, for all sides. The error is relative to `axisymmetric`. If the "
         "estimate is above the target, `solve` continues with finer elements. Then the other loads take as long as "

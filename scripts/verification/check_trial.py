@@ -34,14 +34,13 @@ STILL = {"stimulus.modulation": "none"}
 SONIC = {"board": "sonicsurface", "keys": STILL}
 AUTD = {"board": "autd2018", "keys": {}}
 GOAL_MS = 29.0
-ABOUT = """For everyone who tracks hands. Scene `follow_fingertip`: a fingertip draws half a circle of 60 mm in half a
-second. The tracker gives 90 samples a second. Each sample arrives 10 ms late, unless the row states another delay. The
-table has three values of the age, the lateral error and the error in depth of the focus: the mean, the 95th percentile
-and the largest value. The columns "pressure kept" have the mean, with the smallest value in brackets
-([trials](../trials.md)). SonicSurface has no modulation, and AUTD has AM of 200 Hz. Rows without "real time" use the
-twin of the board, which does not wait for the line. The "imaginary board" is a board of `palmfield calibrate rehearse`.
-Half of its transducers are reversed, and five are silent. Its phases differ by 10 degrees, its gains by 8 %, and its
-position by 2.5 mm. [trials.csv](data/trials.csv) has all rows, and the pressure kept by board and by calibration."""
+ABOUT = """Scene `follow_fingertip`: a fingertip draws half a circle of 60 mm in half a second. The tracker gives 90
+samples a second. Each sample arrives 10 ms late, unless the row states another delay. Age, lateral error and error in
+depth of the focus have three values: mean, 95th percentile and largest. "Pressure kept" has the mean, with the
+smallest value in brackets ([trials](../trials.md)). SonicSurface has no modulation, and AUTD has AM of 200 Hz. Rows
+without "real time" use the twin of the board. The "imaginary board" is a [simulated
+board](../calibration.md#how-far-it-can-be-trusted) that is also displaced by 2.5 mm. [trials.csv](data/trials.csv) has
+all rows, and the pressure kept by board and by calibration."""
 HEAD = (
     "| board | how | age [ms] | lateral error [mm] | error in depth [mm] | pressure kept: latency alone | board | "
     "calibration | pressure kept: in all | dropped frames |\n|---|---|---|---|---|---|---|---|---|---|"

@@ -193,7 +193,7 @@ def write_report(
     lines = [
         "# Are the error estimates of the skin solvers true?",
         "",
-        "For everyone who relies on error estimates. The solvers state an error estimate. This page compares it "
+        "This page compares the error estimates of the solvers "
         f"with the true error in {len(drawn['cases'])} random cases, {len(seen)} of which the solvers were given.",
         "",
         f"    python scripts/verification/coverage.py begin --seed {drawn['seed']} --count {len(drawn['cases'])}",
@@ -207,8 +207,8 @@ def write_report(
         'a disc is 1.2 to 2.5 widths of the spot. In family "rims", where the spot reaches over the rim, it is 0.3 to '
         "1.2 widths. Boxes and layers have 2.5 to 4 widths. Depths are 1 to 20 mm, and 1 to 50 mm in family "
         f'"depths". Target accuracies are {100 * ROUND[0]:g} to {100 * ROUND[1]:g} %, and {100 * OTHER[0]:g} to '
-        f"{100 * OTHER[1]:g} % for boxes, layers and scenes. A shear wave needs some time to cross the spot or twice "
-        f"the depth. A case lasts {CROSSINGS[0]:g} to {CROSSINGS[1]:g} times as long as this, and at most "
+        f"{100 * OTHER[1]:g} % for boxes, layers and scenes. A case lasts {CROSSINGS[0]:g} to {CROSSINGS[1]:g} times "
+        "as long as a shear wave needs to cross the spot or twice the depth, and at most "
         f'{1e3 * LONGEST_S:g} ms. Family "contrast" has sheets whose stiffness differs {CONTRAST:g}-fold. Family '
         '"scenes" has discs, palms and ellipsoids in `palmfield.run`. The estimate of a scene is the numerical error '
         "of its budget; for palms and ellipsoids it is without the error of the cut edges. Each case is solved by "
