@@ -230,7 +230,7 @@ def main() -> None:
         f"palmar side. The table has the worse of both; {keep_rows(PAGE, rows)} has all rows.",
         "",
         "- Thickness is measured along the skin normal.",
-        "- Thinned means less than 0.999 of the requested thickness. This happens at finger webs, tips and creases, "
+        "- Thinned means less than 0.999 of the requested thickness: at finger webs, tips and creases, "
         "where",
         "  thicker wedges would fold.",
         "- Quality is the smallest scaled Jacobian (a Bernstein bound). Above 0 no wedge is folded.",

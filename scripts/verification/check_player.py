@@ -24,16 +24,14 @@ SCENE = ROOT / "mjcf" / "scenes" / "follow_fingertip.xml"
 P99_S = 200e-6
 SHARE_OF_THREAD = 1.0 / 3.0
 UNSENT = 0.01
-ABOUT = """The player must send frames in time while the process of its caller is busy. One thread of the caller steps
-scene `follow_fingertip`, and another thread computes singular values. AUTD packets (9 bytes, 2,000 a second) are sent
-to a pseudo-terminal by the player, and to a second one by a plain thread, which skips no packet. If the player is late
-by a packet or more, it sends the newest packet and skips earlier ones. The virtual machine is paused at times. A
-process of higher priority counts the packets that were due in these pauses.
+ABOUT = """One thread of the busy caller steps scene `follow_fingertip`, and another computes singular values. AUTD
+packets (9 bytes, 2,000 a second) are sent to a pseudo-terminal by the player, and to a second one by a plain thread,
+which skips no packet. If the player is late by a packet or more, it sends the newest packet and skips earlier ones. A
+process of higher priority counts the packets that were due in pauses of the virtual machine.
 
 *Line* is the delay of the last byte of a packet. *Hand-over* is the delay until the system had the packet. *Lost*
-packets were handed over but not received. AUTD packets use 78 % of the capacity of their line. So the line needs four
-times the length of a delay to catch up. SonicSurface frames use the whole capacity of their line, so a delay does not
-decrease again."""
+packets were handed over but not received. AUTD packets use 78 % of their line, which needs four times the length of
+a delay to catch up. SonicSurface frames use the whole line, so a delay does not decrease again."""
 
 
 def ms(late: Late) -> str:

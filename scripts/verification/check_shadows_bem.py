@@ -220,8 +220,8 @@ finger, and rays.
 
 ![|p|² behind a finger](../images/shadows_bem.png)
 
-The rms error, and the error at most points, is below 5 %. In the half shadow, where |p|^2 is steepest, the error is
-larger. A flat strip has similar errors, because sound creeps round a real finger and its sides reflect sound.
+The error of knife edges is largest in the half shadow, where |p|^2 is steepest. A flat strip has similar errors,
+because sound creeps round a real finger and its sides reflect sound.
 """
 )
 

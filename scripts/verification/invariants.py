@@ -27,7 +27,7 @@ HEAD = """# Invariants
 
 For developers. Made by `python scripts/verification/invariants.py`, commit {commit}; do not edit. {scenes} scenes were
 stepped {steps} times each on a CPU (moving scenes from a quarter of their time on, or from the first force on). Each
-scene is written in another form and must give the same results. The forms are:
+scene must give the same results in other forms:
 
 - shifted by (0.31, -0.17, 0.23) m.
 - turned, with gravity and motions: by 90 degrees about z, with exchanged axes, or by 78 degrees about a skew axis

@@ -337,6 +337,7 @@ CASES = (
 
 
 HEAD = ["| case | before | now |", "|---|---|---|"]
+SHORT = ["| case | result |", "|---|---|"]
 WHOLE = ("Numbers", "Physics")
 """Parts whose cases are all on the page; of the others it has counts."""
 
@@ -351,11 +352,11 @@ def page(rows: list[tuple[Case, str]], commit: str, link: str) -> str:
     """Markdown; link: to the rows with whole messages."""
     lines = [
         "# Cases that once failed silently", "",
-        "For developers. At commit f6cb3e2 readers found cases that gave wrong results without an error. This script "
-        "runs them again:", "",
+        "For developers. At commit f6cb3e2 these cases gave wrong results without an error message. This script runs "
+        "them again:", "",
         "    python scripts/verification/seen_cases.py --write docs/bench/seen_cases.md", "",
-        f'"Before" is what the readers found. "Now" is the result at commit {commit}, on {processor()}. "Covered" '
-        f"means that the stated error is at least the true error. {link} has all cases and messages.", "",
+        f'"Covered" means that the stated error is at least the true error. {link} has all cases, the former results '
+        f"and all messages (commit {commit}, {processor()}).", "",
     ]  # fmt: skip
     for part in dict.fromkeys(case.part for case, _ in rows):
         lines += [f"## {part}", ""]
@@ -363,8 +364,8 @@ def page(rows: list[tuple[Case, str]], commit: str, link: str) -> str:
             counts = Counter(verdict(now) for case, now in rows if case.part == part)
             lines += [f"Now: {', '.join(f'{what} ({count} cases)' for what, count in counts.items())}.", ""]
             continue
-        lines += HEAD
-        lines += [f"| {case.what} | {case.before} | {verdict(now)} |" for case, now in rows if case.part == part]
+        lines += SHORT
+        lines += [f"| {case.what} | {verdict(now)} |" for case, now in rows if case.part == part]
         lines.append("")
     return "\n".join(lines)
 

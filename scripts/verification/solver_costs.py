@@ -140,10 +140,10 @@ def page(seed: int, rows: list[dict[str, Any]], out: Path) -> str:
         f"{within(ratios, 3.0)} within 3, and {within(ratios, 5.0)} within 5. The median of measured / predicted is "
         f"{np.median(ratios):.2f}.**",
         "",
-        "To reach the target accuracy, a solver may refine and solve again, up to four times in all. The number of "
-        "solutions cannot be predicted. The prediction includes a second solution where it is likely. Most wrong "
-        "predictions are for the solvers `wedges` and `reduced` with a fixed edge or on thin sheets. Others are for "
-        "layers whose bulk modulus must be searched for, which takes up to 1 s.",
+        "To reach the target accuracy, a solver may solve up to four times; their number cannot be predicted. The "
+        "prediction includes a second solution where it is likely. Most wrong predictions are for `wedges` and "
+        "`reduced` with a fixed edge or on thin sheets, and for layers whose bulk modulus must be searched for, which "
+        "takes up to 1 s.",
         "",
         "| solver | cases | within 2 | within 3 | median measured / predicted |",
         "|---|---|---|---|---|",
