@@ -19,6 +19,8 @@ from palmfield.types import Complex, Float
 
 TABLE = 400
 """Wavenumbers at which the compliance is computed; between them it is a cubic."""
+NEAR_M = 1e-5
+"""Half of the distance of the two depths whose difference gives a compression [m]."""
 
 
 @dataclass(frozen=True)
@@ -60,34 +62,53 @@ class FlatLayer:
         """Coordinates of the grid along x and along y [m], shape (cells,), with 0 among them."""
         return np.asarray((np.arange(self.cells) - self.cells // 2) * (self.span_m / self.cells), dtype=float)
 
-    def lines(self, spots: Sequence[RepeatedSpot], rate_Hz: float, orders: Sequence[int]) -> Complex:
+    def lines(
+        self,
+        spots: Sequence[RepeatedSpot],
+        rate_Hz: float,
+        orders: Sequence[int],
+        depth_m: float = 0.0,
+        compression: bool = False,
+    ) -> Complex:
         """Displacement into the layer at the lines of some orders [m], shape (n, cells, cells), x along the last axis.
 
-        Complex peak amplitudes, under e^{-iwt}, at `places`. spots: that press at once, all with the period 1/rate_Hz
-        orders: 1 or more. Raises SceneError for others, and a rate that is not above 0.
+        Complex peak amplitudes, under e^{-iwt}, at `places`; of order 0 the mean. spots: that press at once, all with
+        the period 1/rate_Hz. depth_m: below the surface. compression: the compression along the normal instead
+        Raises SceneError for orders below 0, and a rate that is not above 0.
         """
-        if not rate_Hz > 0.0 or min(orders) < 1:
-            raise SceneError(f"rate_Hz {rate_Hz}, orders {list(orders)}; allowed: above 0, and orders of 1 or more")
+        if not rate_Hz > 0.0 or min(orders) < 0:
+            raise SceneError(f"rate_Hz {rate_Hz}, orders {list(orders)}; allowed: above 0, and orders of 0 or more")
         k = 2.0 * math.pi * fftfreq(self.cells, self.span_m / self.cells)
         length = np.hypot(k[:, None], k[None, :])
-        pressure = np.sum([_transform(spot, k, length, orders) for spot in spots], axis=0)
-        table = np.linspace(0.0, float(length.max()), TABLE)
+        pressure = np.sum([_over_face(spot, k, length, orders) for spot in spots], axis=0)
+        table = np.linspace(0.0 if depth_m == 0.0 else 1e-3, float(length.max()), TABLE)
         result = np.empty((len(orders), self.cells, self.cells), dtype=complex)
         for row, order in enumerate(orders):
-            compliance = CubicSpline(table, layer_compliance(table, order * rate_Hz, self.material, self.thickness_m))
-            waves = compliance(length) * pressure[row]
+            values = self._compliance(table, order * rate_Hz, depth_m, compression)
+            waves = CubicSpline(table, values)(np.maximum(length, table[0])) * pressure[row]
             result[row] = np.fft.fftshift(ifft2(waves)) * (self.cells / self.span_m) ** 2
         return result
 
+    def _compliance(self, k: Float, f_Hz: float, depth_m: float, compression: bool) -> Complex:
+        def at(depth: float) -> Complex:
+            return layer_compliance(k, f_Hz, self.material, self.thickness_m, depth_m=depth)
 
-def _transform(spot: RepeatedSpot, k: Float, length: Float, orders: Sequence[int]) -> Complex:
-    """Of the pressure's lines over the face [Pa m2], shape (n, cells, cells)."""
+        return (at(depth_m - NEAR_M) - at(depth_m + NEAR_M)) / (2.0 * NEAR_M) if compression else at(depth_m)
+
+
+def transform(spot: RepeatedSpot, orders: Sequence[int]) -> Complex:
+    """Return the lines of the pressure at each place of a spot [Pa], shape (n, p); of order 0 the mean."""
     count = len(spot.peak_Pa)
     number = np.asarray(orders, dtype=float)[:, None]
     edges = np.exp(2j * math.pi * number * np.arange(count + 1) / count)
     # Twice the mean of q e^{+iwt}: Re(line e^{-iwt}) is the line
-    weights = np.diff(edges, axis=1) / (1j * math.pi * number) * spot.peak_Pa
+    weights = np.where(number == 0.0, 1.0 / count, np.diff(edges, axis=1) / (1j * math.pi * np.maximum(number, 1.0)))
+    return np.asarray(weights * spot.peak_Pa)
+
+
+def _over_face(spot: RepeatedSpot, k: Float, length: Float, orders: Sequence[int]) -> Complex:
+    """Of the pressure's lines over the face [Pa m2], shape (n, cells, cells)."""
     along_x, along_y = (np.exp(-1j * np.outer(spot.centres_m[:, axis], k)) for axis in (0, 1))
-    waves = np.einsum("nj,jy,jx->nyx", weights, along_y, along_x, optimize=True)
+    waves = np.einsum("nj,jy,jx->nyx", transform(spot, orders), along_y, along_x, optimize=True)
     spread = spot.fwhm_m / math.sqrt(8.0 * math.log(2.0))
     return np.asarray(waves * (2.0 * math.pi * spread**2 * np.exp(-0.5 * (length * spread) ** 2)))

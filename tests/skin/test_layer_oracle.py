@@ -155,3 +155,15 @@ def test_errors():
         layer_compliance(0.0, 0.0, ECOFLEX, DEPTH, "free")
     with pytest.raises(SceneError, match="spot width"):
         centre_response(0.0, ECOFLEX, DEPTH, 0.0)
+
+
+@pytest.mark.parametrize("depth_m", [7e-4, 2e-3])
+def test_motion_below_the_face_of_a_deep_layer_is_that_of_a_half_space(depth_m):
+    """Static and incompressible: (1 + k z) e^{-k z} / (2 G k) per pressure (Boussinesq's solution by wavenumber)."""
+    k = np.array([50.0, 200.0, 600.0, 1500.0])
+    expected = (1.0 + k * depth_m) * np.exp(-k * depth_m) / (2.0 * PRESETS["palm"].shear_relaxed_Pa * k)
+    found = layer_compliance(k, 0.0, PRESETS["palm"], 0.5, depth_m=depth_m)
+    np.testing.assert_allclose(found, expected, rtol=3e-4)
+    assert np.abs(layer_compliance(k, 150.0, PRESETS["palm"], 0.02, depth_m=0.02)).max() < 1e-12 * expected.max()
+    with pytest.raises(SceneError, match="depth_m is 0.03; allowed: 0 to the thickness 0.02"):
+        layer_compliance(k, 0.0, PRESETS["palm"], 0.02, depth_m=0.03)

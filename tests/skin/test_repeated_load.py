@@ -71,5 +71,18 @@ def test_what_can_not_be_is_refused():
     with pytest.raises(SceneError, match="give a width above 0"):
         RepeatedSpot(np.zeros((1, 2)), np.ones(1), 0.0)
     spot = RepeatedSpot(np.zeros((1, 2)), np.ones(1), FWHM)
-    with pytest.raises(SceneError, match="orders of 1 or more"):
-        FlatLayer(PALM, 0.01).lines([spot], 10.0, [0])
+    with pytest.raises(SceneError, match="orders of 0 or more"):
+        FlatLayer(PALM, 0.01).lines([spot], 10.0, [-1])
+
+
+def test_the_mean_is_that_of_a_load_at_rest():
+    """Order 0 of a spot that rests half of the time; below the surface half spaces damp by (1 + k z) e^{-k z}."""
+    layer = FlatLayer(PALM, 0.02, cells=80)
+    rest = RepeatedSpot(np.zeros((1, 2)), np.ones(1), FWHM)
+    half = RepeatedSpot(np.zeros((2, 2)), np.array([1.0, 0.0]), FWHM)
+    for below in ({}, {"depth_m": 7e-4, "compression": True}):
+        mean, whole = (layer.lines([one], 7.0, [0], **below)[0].real for one in (half, rest))
+        np.testing.assert_allclose(mean, 0.5 * whole, rtol=1e-9, atol=1e-12 * whole.max())
+    middle = layer.cells // 2
+    static = centre_response(0.0, PALM, 0.02, FWHM).real
+    assert layer.lines([rest], 7.0, [0])[0, middle, middle].real == pytest.approx(float(static), rel=0.01)

@@ -24,12 +24,18 @@ from palmfield.types import Complex, Float
 
 
 def layer_compliance(
-    k: Float | float, f_Hz: float, material: Material, thickness_m: float, base: BaseKind = "bonded"
+    k: Float | float,
+    f_Hz: float,
+    material: Material,
+    thickness_m: float,
+    base: BaseKind = "bonded",
+    depth_m: float = 0.0,
 ) -> Complex:
-    """Return the normal compliance of the face of an infinite layer under pressure exp(ik.x) [m/Pa], positive inwards.
+    """Return the normal compliance of an infinite layer under pressure exp(ik.x) on its face [m/Pa], positive inwards.
 
     k: lateral wavenumber, >= 0 [rad/m], any shape. f_Hz: frequency, 0 for static [Hz]. thickness_m: layer depth [m].
     base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction) or "free" (no traction).
+    depth_m: depth of the displacement, 0 to thickness_m [m]; below the face k must be > 0.
     Returns complex128 in the shape of k, under e^{-i w t}. At k = 0 the layer cannot widen. A static free-slip layer
     under long waves can widen, so its limit for k -> 0 is different: h (1 - nu^2) / E.
     Raises SceneError for an unknown base, a thickness <= 0, a negative frequency, or a free layer under static
@@ -39,15 +45,19 @@ def layer_compliance(
         raise SceneError(f"base '{base}' is unknown; use one of {', '.join(BASES)}")
     if not thickness_m > 0.0 or not f_Hz >= 0.0:
         raise SceneError(f"thickness {thickness_m} m, frequency {f_Hz} Hz; thickness must be > 0, frequency >= 0")
+    if not 0.0 <= depth_m <= thickness_m:
+        raise SceneError(f"depth_m is {depth_m}; allowed: 0 to the thickness {thickness_m}")
     shape = np.shape(k)
     k_flat = np.atleast_1d(np.asarray(k, dtype=float)).ravel()
     result = np.empty(len(k_flat), dtype=complex)
     zero = k_flat * thickness_m < 1e-9
     if zero.any():
+        if depth_m > 0.0:
+            raise SceneError(f"depth_m is {depth_m}, but a uniform pressure (k = 0) is computed at the surface only")
         result[zero] = _uniform_compliance(f_Hz, material, thickness_m, base)
     if not zero.all():
         frequencies = np.full(int((~zero).sum()), float(f_Hz))
-        result[~zero] = _wave_compliance(k_flat[~zero], frequencies, material, thickness_m, base)
+        result[~zero] = _wave_compliance(k_flat[~zero], frequencies, material, thickness_m, base, depth_m)
     return result.reshape(shape)
 
 
@@ -64,7 +74,9 @@ def _uniform_compliance(f_Hz: float, material: Material, h: float, base: BaseKin
     return complex(tangent / (modulus * kappa) if base != "free" else -1.0 / (modulus * kappa * tangent))
 
 
-def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: BaseKind) -> Complex:
+def _wave_compliance(
+    k: Float, f_Hz: Float, material: Material, h: float, base: BaseKind, depth_m: float = 0.0
+) -> Complex:
     """Return the compliance for pairs of wavenumber and frequency, all (n,)."""
     unique, back = np.unique(f_Hz, return_inverse=True)
     omega = 2.0 * math.pi * f_Hz
@@ -118,7 +130,7 @@ def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: 
     load = np.zeros((len(k), 4, 1), dtype=complex)
     load[:, 0, 0] = -1.0 / np.abs(top["normal"]).max(axis=1)
     amplitudes = np.linalg.solve(matrix, load)[:, :, 0]
-    return np.einsum("ni,ni->n", top["z"], amplitudes)
+    return np.einsum("ni,ni->n", (rows(depth_m) if depth_m else top)["z"], amplitudes)
 
 
 def centre_response(
