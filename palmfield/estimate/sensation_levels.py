@@ -115,7 +115,16 @@ def contact_levels(times: Float, normal: Float, frequencies: list[float], areas:
     most = lines[:, int(np.maximum(normal.max(axis=0), -normal.min(axis=0)).argmax())]
     result: dict[str, Any] = {"main_frequency_Hz": frequencies[0], "main_line_amplitude_m": float(most[0])}
     result["line_frequencies_Hz"] = frequencies
+    amplitude = np.linalg.norm(lines, axis=0)
+    moves_m2 = float(areas[amplitude > MOVED_SHARE * amplitude.max()].sum())
     for name, observer in OBSERVERS.items():
+        if 0.0 < moves_m2 < observer.least_area_m2:
+            result |= _refusal(
+                name,
+                f"it applies to {1e4 * observer.least_area_m2:g} cm2 or more of moving skin, but {1e4 * moves_m2:.2g} "
+                "cm2 move by half of the maximum",
+            )
+            continue
         for key, count in (("level", 1), ("level_all_lines", len(frequencies))):
             result[f"{key}_{name}_dB_SL"] = _finite(level_dB_SL(observer, frequencies[:count], most[:count]))
         each = np.nan_to_num(most / threshold_m(observer, frequencies), nan=0.0)

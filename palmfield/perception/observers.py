@@ -65,6 +65,7 @@ class Observer:
     spread_dB: half-width of the spread [dB], None if not established; spread_of: origin of the spread, in words
     channels_from_Hz: frequencies at which the most sensitive channel of the skin changes [Hz]; levels of channels are
         not summed, the highest is used
+    least_area_m2: smallest area of moving skin to which the study applies [m^2]; 0 without a limit
     summation: dependence of thresholds on area, None if the source has no such law
     temporal: dependence of thresholds on duration, None if the source has no such law
     """
@@ -79,6 +80,7 @@ class Observer:
     spread_dB: float | None
     spread_of: str
     channels_from_Hz: tuple[float, ...] = ()
+    least_area_m2: float = 0.0
     summation: AreaSummation | None = None
     temporal: TemporalSummation | None = None
 
@@ -120,9 +122,10 @@ def _morioka_griffin() -> Observer:
         source="M. Morioka and M. J. Griffin, J. Sound Vib. 295 (2006) 633-648: hand-transmitted vibration, hand "
         "around a handle. The contact is large, so thresholds for a small area are higher. Percent correct: not "
         "established here.",
-        why="measured on a gripped handle, a large contact: lower bound of the threshold of a small spot",
+        why="measured on a gripped handle; a large part of the skin moves",
         spread_dB=None,
         spread_of="not established",
+        least_area_m2=2e-3,
     )
 
 

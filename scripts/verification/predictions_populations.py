@@ -132,7 +132,8 @@ def compute() -> dict[str, Any]:
         print(finding.name, sizes, holds, flush=True)
     sizes = {_depth(depth): steady_pressure_dB(depth) for depth in DEPTHS_M}
     found.append({
-        "name": "steady pressure", "unit": "dB", "claim": "slow LM with fine steps excites SA1 more than a spot at rest",
+        "name": "steady pressure", "unit": "dB",
+        "claim": "slow LM with fine steps excites SA1 more than a spot at rest",
         "sizes": sizes, "holds": {depth: size > 0.0 for depth, size in sizes.items()},
     })  # fmt: skip
     print("steady pressure", sizes)

@@ -16,7 +16,7 @@ from palmfield.stimulus.schedule import factors_at
 TIMES = np.arange(0.0, 0.05, 5e-4)
 SINE = np.sin(2 * np.pi * 200.0 * TIMES)
 MOTION = 2e-6 * SINE[:, None]
-AREAS = np.array([1e-4])
+AREAS = np.array([3e-3])
 FORCE = "level_hasegawa_2018"
 
 
@@ -36,6 +36,15 @@ def test_an_observer_whose_table_does_not_reach_is_refused():
     assert levels["level_afferent_human_why"] == (
         "refused: its table covers 2 to 350 Hz, but the main line is at 600 Hz"
     )
+
+
+def test_a_small_spot_has_no_level_of_a_gripped_handle():
+    levels = contact_levels(TIMES, MOTION, [200.0], np.array([1e-4]))
+    assert levels["level_morioka_griffin_2006_dB_SL"] is None
+    assert levels["level_morioka_griffin_2006_why"] == (
+        "refused: it applies to 20 cm2 or more of moving skin, but 1 cm2 move by half of the maximum"
+    )
+    assert levels["level_bolanowski_1988_dB_SL"] > 0.0
 
 
 def test_twice_the_motion_is_6_dB_more_for_every_contact_observer():

@@ -72,7 +72,7 @@ def test_summary_holds_the_tables_numbers(finished):
     result, tree = finished
     stored = json.loads((result.out / "summary.json").read_text())
     (skin,), (stimulus,) = stored["skins"], stored["stimuli"]
-    levels = ("level_morioka_griffin_2006_dB_SL", "level_afferent_human_dB_SL")
+    levels = ("level_bolanowski_1988_dB_SL", "level_afferent_human_dB_SL")
     peaks = ("peak_pressure_Pa", "peak_arp_Pa", "total_force_peak_N", "peak_displacement_m", "rms_displacement_m")
     for key in (*peaks, "displacement_error_relative", *levels):
         assert np.isfinite(skin[key]), key

@@ -165,5 +165,5 @@ def test_motion_below_the_face_of_a_deep_layer_is_that_of_a_half_space(depth_m):
     found = layer_compliance(k, 0.0, PRESETS["palm"], 0.5, depth_m=depth_m)
     np.testing.assert_allclose(found, expected, rtol=3e-4)
     assert np.abs(layer_compliance(k, 150.0, PRESETS["palm"], 0.02, depth_m=0.02)).max() < 1e-12 * expected.max()
-    with pytest.raises(SceneError, match="depth_m is 0.03; allowed: 0 to the thickness 0.02"):
+    with pytest.raises(SceneError, match=r"depth_m is 0\.03; allowed: 0 to the thickness 0\.02"):
         layer_compliance(k, 0.0, PRESETS["palm"], 0.02, depth_m=0.03)
