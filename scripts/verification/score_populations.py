@@ -16,6 +16,10 @@ from predictions_populations import FELT_N, HELD_N, NUMBERS, ROOT
 from score_predictions import OUTCOMES, Outcome, predicted
 
 PAGE = "predictions_populations.md"
+HEAD = (
+    "finding", "claim", "10 mm", "20 mm", "no waves", "published", "populations", "populations, no waves",
+    "one surface point", "duration and energy",
+)  # fmt: skip
 STEADY = Outcome(
     "Morisaki et al. 2022 (doi 10.1109/TOH.2021.3125843), abstract",
     "LM at 5 to 15 Hz with steps below 1 mm: 0.027 N of sound felt like 0.21 N at rest",
@@ -26,14 +30,15 @@ TEXT = """\
 # Predictions of findings by populations of afferents
 
 For readers who judge the models. Written by `python scripts/verification/score_populations.py` from
-[predictions_populations.json](predictions_populations.json). The numbers were committed at {commit} and scored in a later
-commit. The level is that of `population_all` ([afferents](../receptors.md)); its constants come from thresholds under
-probes and one threshold under a contactor. The abstracts of all findings were known when the stimuli were chosen.
+[predictions_populations.json](predictions_populations.json). The numbers were committed (code at {commit}) and scored
+in a later commit. The level is that of `population_all` ([afferents](../receptors.md)); its constants come from
+thresholds under probes and one threshold under a contactor. The abstracts of all findings were known when the stimuli
+were chosen.
 
-**Directions right: {ours} of {of} by populations on skin with waves, {still} of {of} on a skin without waves, {point} of
-{of_point} by one surface point and contact observers, {energy} of {of_point} by duration and energy.** {tie}
+**Directions right: {ours} of {of} by populations on skin with waves, {still} of {of} on a skin without waves, {point}
+of {of_point} by one surface point and contact observers, {energy} of {of_point} by duration and energy.** {tie}
 
-| finding | claim | 10 mm | 20 mm | no waves | published | populations | no waves | one surface point | duration and energy |
+| {head} |
 |---|---|---|---|---|---|---|---|---|---|
 {rows}
 
@@ -73,9 +78,18 @@ def page(numbers: dict, former: dict) -> str:
         else "The skin without waves predicts fewer."
     )
     return TEXT.format(
-        commit=numbers["commit"], ours=counts[0], still=counts[1], point=counts[2], energy=counts[3], of=len(rows),
-        of_point=len(points), tie=tie, rows="\n".join(rows), sizes="; ".join(sizes) + ".",
-    )  # fmt: skip
+        commit=numbers["commit"],
+        head=" | ".join(HEAD),
+        ours=counts[0],
+        still=counts[1],
+        point=counts[2],
+        energy=counts[3],
+        of=len(rows),
+        of_point=len(points),
+        tie=tie,
+        rows="\n".join(rows),
+        sizes="; ".join(sizes) + ".",
+    )
 
 
 def main() -> None:
