@@ -20,10 +20,11 @@ from typing import Any, cast
 import numpy as np
 import predictions_felt as felt
 import scipy.signal
+from numpy.typing import NDArray
 from repeated_load import FlatLayer, RepeatedSpot, transform
 from scipy.signal import lfilter
 
-from palmfield.perception.afferents import AFFERENTS, Afferent, largest_under_probe
+from palmfield.perception.afferents import AFFERENTS, largest_under_probe
 from palmfield.perception.observers import Observer
 from palmfield.perception.populations import DENSITIES_PER_CM2, POPULATIONS, class_level_dB
 from palmfield.studies.bench.field import git_commit
@@ -33,39 +34,49 @@ ROOT = Path(__file__).resolve().parents[2]
 NUMBERS = "predictions_populations.json"
 DEPTHS_M = (*felt.DEPTHS_M, felt.NO_WAVES)
 STEP_S = 1.25e-4
+HAND_M = 0.07
+"""Half of the edge of the square of skin with afferents."""
 PLACES = 2000
 """Places whose courses are computed together."""
 HELD_N, FELT_N = 0.027, 0.21
 """Force of the sound, and force that felt the same, in the finding on steady pressure."""
 
 
-def motion_lines(afferent: Afferent, depth_m: float, spots: Sequence[RepeatedSpot], rate_Hz: float) -> Complex:
-    """Return the lines of the motion at endings, from the mean on, as that of the probe [m/Pa], (n, cells, cells)."""
+Key = tuple[tuple[bytes, bytes], ...]
+
+
+@lru_cache(maxsize=3)
+def motion_lines(ending_m: float, strain: bool, depth_m: float, spots: Key, rate_Hz: float) -> Complex:
+    """Return the lines of the motion at endings, from the mean on, per Pa: (n, p) at the places of `near`."""
+    pressed = [RepeatedSpot(np.frombuffer(c).reshape(-1, 2), np.frombuffer(p), felt.FWHM_M) for c, p in spots]
     orders = range(math.floor(felt.HIGHEST_Hz / rate_Hz) + 1)
-    under, strain = largest_under_probe(afferent), afferent.quantity == "strain"
+    layer = FlatLayer(felt.preset("palm"), depth_m or felt.DEPTHS_M[0])
     if depth_m != felt.NO_WAVES:
-        layer = felt.layer(depth_m)
-        return layer.lines(spots, rate_Hz, orders, depth_m=afferent.depth_m, compression=strain) / under
+        return layer.lines(pressed, rate_Hz, orders, depth_m=ending_m, compression=strain)[:, near()]
     # The static motion under the middle of a spot, at each place from the pressure there
-    layer = FlatLayer(felt.preset("palm"), felt.DEPTHS_M[0])
-    middle = layer.cells // 2
+    middle, places = layer.cells // 2, layer.places()
     rest = RepeatedSpot(np.zeros((1, 2)), np.ones(1), felt.FWHM_M)
-    per_Pa = layer.lines([rest], 1.0, [0], depth_m=afferent.depth_m, compression=strain)[0, middle, middle].real
-    places = layer.places()
+    per_Pa = layer.lines([rest], 1.0, [0], depth_m=ending_m, compression=strain)[0, middle, middle].real
     spread = felt.FWHM_M / math.sqrt(8.0 * math.log(2.0))
     result = np.zeros((len(orders), len(places), len(places)), dtype=complex)
-    for spot in spots:
+    for spot in pressed:
         along = [np.exp(-0.5 * ((places[None] - spot.centres_m[:, axis, None]) / spread) ** 2) for axis in (0, 1)]
         result += np.einsum("nj,jy,jx->nyx", transform(spot, orders), along[1], along[0], optimize=True)
-    return per_Pa / under * result
+    return per_Pa * result[:, near()]
+
+
+def near() -> NDArray[np.bool_]:
+    """Return which places of the grid have afferents, (cells, cells): a square of the size of a hand."""
+    inside = np.abs(felt.layer(felt.DEPTHS_M[0]).places()) < HAND_M
+    return inside[:, None] & inside
 
 
 @lru_cache(maxsize=64)
-def _unit_levels(name: str, depth_m: float, spots: tuple[tuple[bytes, bytes], ...], rate_Hz: float) -> Float:
+def _unit_levels(name: str, depth_m: float, spots: Key, rate_Hz: float) -> Float:
     """Return the level of a unit at each place, over its threshold and per Pa, (cells, cells); steady motion."""
     afferent = AFFERENTS[name]
-    pressed = [RepeatedSpot(np.frombuffer(c).reshape(-1, 2), np.frombuffer(p), felt.FWHM_M) for c, p in spots]
-    lines = motion_lines(afferent, depth_m, pressed, rate_Hz)
+    lines = motion_lines(afferent.depth_m, afferent.quantity == "strain", depth_m, spots, rate_Hz)
+    lines = lines / largest_under_probe(afferent)
     turn = 2.0 * math.pi
     analogue = [turn * np.array(one) for one in (afferent.zeros_Hz, afferent.poles_Hz)]
     _, passed = scipy.signal.freqs_zpk(*analogue, afferent.gain_per_m, turn * rate_Hz * np.arange(len(lines)))
@@ -73,15 +84,17 @@ def _unit_levels(name: str, depth_m: float, spots: tuple[tuple[bytes, bytes], ..
     times = np.arange(samples) / samples / rate_Hz
     # Lines are under e^{-iwt}, the filter under e^{+iwt}
     waves = np.exp(-1j * turn * rate_Hz * np.outer(times, np.arange(len(lines)))) * np.conj(passed)
-    flat, left = lines.reshape(len(lines), -1), math.exp(-1.0 / (rate_Hz * samples * afferent.tau_s))
-    levels = np.empty(flat.shape[1])
-    for first in range(0, flat.shape[1], PLACES):
+    left = math.exp(-1.0 / (rate_Hz * samples * afferent.tau_s))
+    levels = np.empty(lines.shape[1])
+    for first in range(0, lines.shape[1], PLACES):
         part = slice(first, first + PLACES)
-        driven = np.maximum((waves @ flat[:, part]).real, 0.0)
+        driven = np.maximum((waves @ lines[:, part]).real, 0.0)
         once = lfilter([0.5 * (1.0 - left)] * 2, [1.0, -left], driven, axis=0)
         begin = once[-1] / (1.0 - left**samples)
         levels[part] = (once + begin * left ** np.arange(1, samples + 1)[:, None]).max(axis=0)
-    return levels.reshape(lines.shape[1:])
+    result = np.full(near().shape, 1e-12)
+    result[near()] = levels
+    return result
 
 
 def unit_levels(name: str, depth_m: float, spots: Sequence[RepeatedSpot], rate_Hz: float) -> Float:

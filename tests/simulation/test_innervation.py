@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+from pxr import Usd, UsdGeom
 
 import palmfield
 from palmfield.config.skin import SkinConfig
 from palmfield.errors import PalmfieldError
 from palmfield.outputs import instances
+from palmfield.outputs.afferents import spikes_of
 from palmfield.outputs.pictures.kinds import KINDS
 from palmfield.outputs.pictures.options import Options
+from palmfield.outputs.usd import write_usd
 from palmfield.perception.afferents import AFFERENTS, largest_under_probe
 from palmfield.perception.populations import DENSITIES_PER_CM2
 from palmfield.session import Simulation
@@ -118,3 +121,14 @@ def test_densities_of_a_hand_are_those_of_its_regions():
 def test_keys_that_cannot_be_are_refused(module_scene, keys, message):
     with pytest.raises(PalmfieldError, match=message):
         palmfield.run(module_scene(skin=keys), None, progress=False)
+
+
+def test_usd_has_the_afferents_with_their_rates(finished, tmp_path):
+    write_usd(finished.dataset, tmp_path / "felt.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "felt.usdc"))
+    [points] = [UsdGeom.Points(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Points)]
+    skin = skin_of(finished)
+    np.testing.assert_allclose(points.GetPointsAttr().Get(), skin["afferent_position"].values, atol=1e-7)
+    rates = np.array(UsdGeom.PrimvarsAPI(points).GetPrimvar("mean_rate").Get())
+    fired = sum(len(moments) for moments, _ in spikes_of(skin).values())
+    assert rates.sum() * 0.03 == pytest.approx(fired, abs=0.01) and fired > 0

@@ -15,7 +15,7 @@ from palmfield.outputs.usd.prims import Moves, about, add_mesh, add_primvar, des
 from palmfield.outputs.usd.quantise import rounding
 from palmfield.outputs.usd.samples import Samples
 from palmfield.outputs.usd.skeleton import BoneMoves, add_skeleton, bind, identifiers
-from palmfield.outputs.usd.skins import LOUDEST, SkinWriter
+from palmfield.outputs.usd.skins import LOUDEST, SkinWriter, add_afferents
 from palmfield.types import Float, Int
 
 SKIN_COLOUR = (0.70, 0.47, 0.36)
@@ -63,6 +63,7 @@ class BodyWriter:
         self.skins: dict[str, SkinWriter] = {}
         for name, identifier in identifiers(skins).items():
             writer = SkinWriter(stage, f"{path}/Skins/{identifier}", skins[name], colour)
+            add_afferents(stage, f"{path}/Afferents/{identifier}", skins[name])
             self.skins[name] = writer
             meshes.append((writer.mesh, skins[name], writer.order))
         self._bones: tuple[BoneMoves, Float] | None = None

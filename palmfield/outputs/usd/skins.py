@@ -8,6 +8,7 @@ import xarray as xr
 from pxr import Sdf, Usd, UsdGeom
 
 from palmfield.hand.triangles import vertex_areas
+from palmfield.outputs.afferents import mean_rates
 from palmfield.outputs.levels import LevelCourse
 from palmfield.outputs.motion import PIECE_BYTES
 from palmfield.outputs.schema import has_records
@@ -27,6 +28,8 @@ LOUDEST = {
     "loudest_pressure": "peak amplitude at the loudest instant",
 }
 """Quantities of skins and bodies at the loudest moment [Pa], and their signs."""
+AFFERENT_M = 5e-4
+"""Width of the point of an afferent [m]."""
 
 
 def strip_order(points: Float) -> Int:
@@ -85,6 +88,20 @@ class _Track(NamedTuple):
         if self.colour is not None:
             palette, numbers = self.colour
             numbers.extend(codes, palette.numbers(values)[rows])
+
+
+def add_afferents(stage: Usd.Stage, path: str, skin: xr.Dataset) -> None:
+    """Add the afferents of a skin at rest, if it has any, with their classes and mean rates."""
+    if not has_records(skin, "afferent_motion") or skin.sizes["time"] < 2:
+        return
+    points = UsdGeom.Points.Define(stage, path)
+    points.CreatePointsAttr(vectors(skin["afferent_position"].values))
+    points.CreateWidthsAttr(floats(np.full(skin.sizes["afferent"], AFFERENT_M)))
+    classes = UsdGeom.PrimvarsAPI(points).CreatePrimvar("afferent_class", Sdf.ValueTypeNames.TokenArray, "vertex")
+    classes.Set(skin["afferent_class"].values.tolist())
+    add_primvar(points.GetPrim(), "mean_rate", "s-1", "spikes per second over the run", {}).Set(
+        floats(mean_rates(skin))
+    )
 
 
 class SkinWriter:

@@ -4,10 +4,9 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from palmfield.outputs.afferents import spikes_of
 from palmfield.outputs.pictures.options import Kind, Options, chosen_skin, limits_of
 from palmfield.outputs.skin_view import view_of_skin
-from palmfield.perception.afferents import AFFERENTS, spikes
-from palmfield.types import Float
 
 TITLES = {"sa1": "SA1", "ra1": "RA1", "pc": "PC"}
 
@@ -20,28 +19,23 @@ def receptors(result: xr.DataTree, options: Options) -> Figure:
     # Exact for a body in one piece, and the mean for one that bends
     turn = np.linalg.lstsq(np.column_stack([rest, np.ones(len(rest))]), view.vertices, rcond=None)[0]
     places = 1e3 * (np.column_stack([skin["afferent_position"].values, np.ones(len(classes))]) @ turn)[:, :2]
-    present = [one for one in AFFERENTS if (classes == one).any()]
-    rates: dict[str, Float] = {}
-    fired: dict[str, tuple[Float, Float]] = {}
-    for one in present:
-        motion = skin["afferent_motion"].values[:, classes == one]
-        moments, units = spikes(AFFERENTS[one], motion, float(times[1] - times[0]))
-        rates[one] = np.bincount(units, minlength=motion.shape[1]) / float(times[-1] - times[0])
-        order = np.empty(motion.shape[1])
-        order[np.argsort(rates[one], kind="stable")] = np.arange(motion.shape[1])
-        fired[one] = moments, order[units]
+    fired, lasts_s = spikes_of(skin), float(times[-1] - times[0])
+    rates = {
+        one: np.bincount(units, minlength=len(classes))[classes == one] / lasts_s for one, (_, units) in fired.items()
+    }
     low, high = limits_of(options, 0.0, max(1.0, *(float(rate.max()) for rate in rates.values())))
-    figure = Figure(figsize=(0.8 + 3.6 * len(present), 6.4), layout="constrained")
-    axes = figure.subplots(2, len(present), squeeze=False, height_ratios=(3, 2))
-    for one, on_skin, over_time in zip(present, *axes, strict=True):
+    figure = Figure(figsize=(0.8 + 3.6 * len(fired), 6.4), layout="constrained")
+    axes = figure.subplots(2, len(fired), squeeze=False, height_ratios=(3, 2))
+    for (one, (moments, units)), on_skin, over_time in zip(fired.items(), *axes, strict=True):
         own, rate = places[classes == one], rates[one]
         active = rate > 0.0
         on_skin.plot(*own[~active].T, ".", ms=2, color="0.75")
         points = on_skin.scatter(*own[active].T, c=rate[active], s=14, cmap="cividis", vmin=low, vmax=high)
         on_skin.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
         on_skin.set_title(f"{TITLES[one]}: {active.sum()} of {len(rate)} fire")
-        moments, rows = fired[one]
-        over_time.plot(1e3 * (times[0] + moments), rows - (len(rate) - active.sum()), "|", ms=3, color="black")
+        row = np.empty(len(classes))
+        row[np.flatnonzero(classes == one)[np.argsort(rate, kind="stable")]] = np.arange(len(rate)) - (~active).sum()
+        over_time.plot(1e3 * moments, row[units], "|", ms=3, color="black")
         over_time.set(xlabel="time [ms]", ylabel="active unit", xlim=(1e3 * times[0], 1e3 * times[-1]))
         over_time.set_ylim(-0.5, max(0.5, active.sum() - 0.5))
         if not len(moments):
