@@ -28,36 +28,46 @@ from palmfield.phases import phase
 
 KERNELS = "WARP_CACHE_PATH"
 """Environment variable for the folder of compiled Warp kernels."""
-FULL_BYTES = 2**20
-"""Free space below which a disk is full for a kernel [bytes]."""
+ROOM_FILES, ROOM_BYTES = 16, 2**16
+"""Files and size of each [bytes] for which a folder must have room before a kernel is compiled."""
 
 
 def _kernels_folder() -> None:
-    """Store kernels in a folder of this process and its children if the usual folder is not writable."""
-    usual = os.environ.get(KERNELS) or platformdirs.user_cache_dir("warp", "NVIDIA", wp.__version__)
+    """Store kernels in a folder of this process and its children if the usual folder cannot be made."""
+    named = os.environ.get(KERNELS)
+    usual = os.path.join(named or platformdirs.user_cache_dir("warp", "NVIDIA"), wp.__version__)
     try:
-        if not os.environ.get(KERNELS) and not os.path.isabs(usual):
+        if not named and not os.path.isabs(usual):
             raise FileNotFoundError("this user has no home folder")
         os.makedirs(usual, exist_ok=True)
-        tempfile.TemporaryFile(dir=usual).close()
     except OSError as error:
-        os.environ[KERNELS] = _temporary_folder(usual, f"is not writable ({reason_of(error)})")
+        os.environ[KERNELS] = _temporary_folder(usual, error)
 
 
-def _temporary_folder(usual: str, why: str) -> str:
+def _refusal(folder: str) -> OSError | None:
+    """Return why files cannot be stored in a folder (full disk, quota, number of files), or None."""
+    data = os.urandom(ROOM_BYTES)
+    try:
+        with tempfile.TemporaryDirectory(dir=folder) as made:
+            for number in range(ROOM_FILES):
+                Path(made, str(number)).write_bytes(data)
+    except OSError as error:
+        return error
+    return None
+
+
+def _temporary_folder(usual: str, error: OSError) -> str:
     """Return a new folder for the kernels of this process instead of the usual one, and log a warning why."""
+    why = f"folder {usual} for compiled kernels is not writable ({reason_of(error)})"
+    do = f"set {KERNELS} to a writable folder with free space"
     try:
         made = tempfile.mkdtemp(prefix="palmfield-kernels-")
-    except OSError as error:
-        raise PalmfieldError(
-            f"folder {usual} for compiled kernels {why}, and no temporary folder can be made: set {KERNELS} to a "
-            "writable folder"
-        ) from error
-    atexit.register(shutil.rmtree, made, ignore_errors=True)
-    logging.getLogger(__name__).warning(
-        "folder %s for compiled kernels %s, so each run compiles them again; set %s to a writable folder",
-        usual, why, KERNELS,
-    )  # fmt: skip
+        atexit.register(shutil.rmtree, made, ignore_errors=True)
+        if full := _refusal(made):
+            raise full
+    except OSError as second:
+        raise PalmfieldError(f"{why}, nor is a temporary folder ({reason_of(second)}); {do}") from error
+    logging.getLogger(__name__).warning("%s, so each run compiles them again; %s", why, do)
     return made
 
 
@@ -216,18 +226,13 @@ _moving = threading.Lock()
 
 
 def _load(module: wp.Module, device: str, block_dim: int) -> None:
-    """Compile or read a module; if the disk of the kernels is full, in a temporary folder."""
-    usual = str(wp.config.kernel_cache_dir)
-    try:
-        wp.load_module(module, device=device, block_dim=block_dim)
-    except Exception:
-        with _moving:
-            if wp.config.kernel_cache_dir == usual:
-                if shutil.disk_usage(usual).free > FULL_BYTES:
-                    raise
-                wp.config.kernel_cache_dir = os.environ[KERNELS] = _temporary_folder(usual, "is on a full disk")
-        module.mark_modified()  # else Warp repeats the error
-        wp.load_module(module, device=device, block_dim=block_dim)
+    """Compile or read a module; if its folder takes no new files, compile in a temporary folder."""
+    with _moving:
+        folder = str(wp.config.kernel_cache_dir)
+        # Before the compilation, because LLVM ends the process if it cannot write
+        if not Path(folder, module.get_module_identifier(block_dim=block_dim)).exists() and (error := _refusal(folder)):
+            wp.config.kernel_cache_dir = os.environ[KERNELS] = _temporary_folder(folder, error)
+    wp.load_module(module, device=device, block_dim=block_dim)
 
 
 _Load = tuple[_Loader, tuple[Future[None], Callable[[], None]]]

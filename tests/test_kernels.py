@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ import warp as wp
 
 import palmfield
 from palmfield import device
+from warp_kernels import EXACT
 
 SCENE = str(Path(palmfield.__file__).parents[1] / "mjcf" / "scenes" / "palm_am200.xml")
 
@@ -40,36 +40,85 @@ def usual_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def full(monkeypatch, free):
-    """Writing of sources fails, with so much free space [bytes]; returns the folders that were tried."""
-    tried, compile_as_before = [], wp._src.build.build_cpu
+def compilations(monkeypatch):
+    """The folders in which kernels are compiled from now on."""
+    tried, build = [], wp._src.build.build_cpu
 
-    def build(path, *words, **options):
+    def noted(path, *words, **options):
         tried.append(Path(path))
-        if len(tried) == 1:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return compile_as_before(path, *words, **options)
+        return build(path, *words, **options)
 
-    monkeypatch.setattr(wp._src.build, "build_cpu", build)
-    monkeypatch.setattr(device.shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    monkeypatch.setattr(wp._src.build, "build_cpu", noted)
     return tried
 
 
-def test_kernels_on_a_full_disk_are_compiled_elsewhere(usual_folder, monkeypatch, caplog):
-    tried, kernel, out = full(monkeypatch, 0), kernel_of_its_own("full"), wp.zeros(1, dtype=wp.int32, device="cpu")
-    device.run_kernel(kernel, 1, [], [out], device="cpu")
-    assert out.numpy()[0] == 3
-    assert [usual_folder in path.parents for path in tried] == [True, False]
-    assert f"folder {usual_folder} for compiled kernels is on a full disk" in caplog.text
+def no_room(monkeypatch, number, *folders):
+    """No file can be written in these folders, whatever free space their disk states."""
+    plain = Path.write_bytes
+
+    def write_bytes(path, data):
+        if set(folders) & set(path.parents):
+            raise OSError(number, os.strerror(number))
+        return plain(path, data)
+
+    monkeypatch.setattr(device.Path, "write_bytes", write_bytes)
+
+
+def launched(name):
+    out = wp.zeros(1, dtype=wp.int32, device="cpu")
+    device.run_kernel(kernel_of_its_own(name), 1, [], [out], device="cpu")
+    return out.numpy()[0]
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_kernels_that_cannot_be_stored_are_compiled_elsewhere(number, usual_folder, monkeypatch, caplog):
+    tried = compilations(monkeypatch)
+    no_room(monkeypatch, number, usual_folder)
+    assert launched("full") == launched("full too") == 3
+    assert [usual_folder in path.parents for path in tried] == [False, False]
+    (line,) = caplog.messages
+    assert f"folder {usual_folder} for compiled kernels is not writable ({os.strerror(number)})" in line
+    assert "each run compiles them again; set WARP_CACHE_PATH to a writable folder with free space" in line
     assert os.environ[device.KERNELS] == wp.config.kernel_cache_dir != str(usual_folder)
-    assert not list(usual_folder.rglob("*.o"))
+    assert not list(usual_folder.iterdir())
 
 
-def test_an_error_with_free_space_is_raised(usual_folder, monkeypatch):
-    tried, kernel = full(monkeypatch, 2 * device.FULL_BYTES), kernel_of_its_own("not full")
-    with pytest.raises(OSError, match="No space left"):
-        device.run_kernel(kernel, 1, [], [wp.zeros(1, dtype=wp.int32, device="cpu")], device="cpu")
-    assert len(tried) == 1 and wp.config.kernel_cache_dir == str(usual_folder)
+def test_without_room_for_a_temporary_folder_the_error_says_so(usual_folder, monkeypatch):
+    no_room(monkeypatch, errno.ENOSPC, Path("/"))
+    with pytest.raises(
+        palmfield.PalmfieldError, match=r"is not writable \(No space.*, nor is a temporary folder.*; set"
+    ):
+        launched("full")
+
+
+def test_kernels_are_read_from_a_folder_that_takes_no_more(usual_folder, monkeypatch):
+    module = kernel_of_its_own("stored").module
+    device.load_kernels(module, "cpu")
+    tried = compilations(monkeypatch)
+    no_room(monkeypatch, errno.EROFS, usual_folder)
+    module.unload()
+    device._load(module, "cpu", 1)
+    assert tried == [] and wp.config.kernel_cache_dir == str(usual_folder)
+
+
+def test_kernels_of_another_processor_compiler_or_warp_are_not_used(usual_folder, monkeypatch):
+    tried, module = compilations(monkeypatch), kernel_of_its_own("made before").module
+    module.options |= EXACT
+
+    def compiled():
+        module.unload()
+        wp.load_module(module, device="cpu")
+        return len(tried)
+
+    assert [compiled(), compiled()] == [1, 1]
+    for name, value in (("_get_cpu_feature_set", {"other"}), ("_get_cpu_toolchain_version", "0")):
+        with monkeypatch.context() as other:
+            other.setattr(wp._src.context, name, lambda value=value: value)
+            before = compiled()
+            assert before == len(tried) == compiled()
+    assert [compiled(), len(tried)] == [3, 3]
+    code = "import warp as wp, palmfield.device; print(wp.config.kernel_cache_dir)"
+    assert run(code, usual_folder).stdout == f"{usual_folder / wp.__version__}\n"
 
 
 def test_a_module_loaded_ahead_is_compiled_once_and_not_by_the_caller(monkeypatch):
