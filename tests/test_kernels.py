@@ -166,7 +166,7 @@ def test_what_is_waited_for_comes_next(monkeypatch):
     waiting.start()
     waits = device._load_of(modules[0], "cpu", 1)[0].waiting
     until = time.monotonic() + 30.0
-    while waits[0][1].args != (modules[3],) and time.monotonic() < until:
+    while waits[0][1].args[0] is not modules[3] and time.monotonic() < until:
         time.sleep(0.001)
     go.set()
     waiting.join(60.0)

@@ -6,7 +6,7 @@ Each case runs a command in its own process until it begins a phase (`palmfield.
 SIGINT. The table has the time to the end of the process, its exit code, files that cannot be read under their final
 names (results, pictures, USD, entries of the cache, kernels), and whether the partial results can be read. "empty"
 begins without results in the cache, moment `compile` also without kernels; "full" begins with those of a whole run.
-Files with temporary names (*.part, Warp's folders) are not counted: palmfield removes old ones.
+Files with temporary names (*.part, which palmfield removes later, and Warp's folders) are not counted.
 """
 
 import argparse
