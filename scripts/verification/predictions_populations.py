@@ -61,7 +61,8 @@ def motion_lines(ending_m: float, strain: bool, depth_m: float, spots: Key, rate
     result = np.zeros((len(orders), len(places), len(places)), dtype=complex)
     for spot in pressed:
         along = [np.exp(-0.5 * ((places[None] - spot.centres_m[:, axis, None]) / spread) ** 2) for axis in (0, 1)]
-        result += np.einsum("nj,jy,jx->nyx", transform(spot, orders), along[1], along[0], optimize=True)
+        bells = (along[1][:, :, None] * along[0][:, None, :]).reshape(len(along[0]), -1)
+        result += (transform(spot, orders) @ bells).reshape(result.shape)
     return per_Pa * result[:, near()]
 
 

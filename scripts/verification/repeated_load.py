@@ -109,6 +109,7 @@ def transform(spot: RepeatedSpot, orders: Sequence[int]) -> Complex:
 def _over_face(spot: RepeatedSpot, k: Float, length: Float, orders: Sequence[int]) -> Complex:
     """Of the pressure's lines over the face [Pa m2], shape (n, cells, cells)."""
     along_x, along_y = (np.exp(-1j * np.outer(spot.centres_m[:, axis], k)) for axis in (0, 1))
-    waves = np.einsum("nj,jy,jx->nyx", transform(spot, orders), along_y, along_x, optimize=True)
+    at_places = (along_y[:, :, None] * along_x[:, None, :]).reshape(len(along_x), -1)
+    waves = (transform(spot, orders) @ at_places).reshape(-1, *length.shape)
     spread = spot.fwhm_m / math.sqrt(8.0 * math.log(2.0))
     return np.asarray(waves * (2.0 * math.pi * spread**2 * np.exp(-0.5 * (length * spread) ** 2)))
