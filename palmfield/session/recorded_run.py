@@ -151,6 +151,8 @@ def run_recorded(
             # Ctrl-C is delayed until there is a result to attach
             delayed = opened.enter_context(ExitStack())
             delayed.enter_context(interrupts_delayed())
+            if stopped or cut:
+                _end_second_process()  # it draws nothing, and would slow down what is left to do
             about = {"reason": reason} | ({"error_budget": json.dumps(budgets)} if budgets else {})
             with phase("result file"):
                 finished = store.finish(about, complete=stopped is None)
@@ -339,8 +341,12 @@ def second_process_draws() -> Iterator[None]:
     try:
         yield
     finally:
-        while _second:
-            _second.pop().end()
+        _end_second_process()
+
+
+def _end_second_process() -> None:
+    while _second:
+        _second.pop().end()
 
 
 @phase("preparing")

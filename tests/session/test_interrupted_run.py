@@ -87,6 +87,22 @@ def test_what_was_computed_comes_with_the_error(small_scene, out, stop, kind, mo
     assert (out is None) == (not result.files)
 
 
+def test_the_second_process_has_ended_when_the_partial_result_is_written(small_scene, tmp_path, monkeypatch):
+    events, plain = [], recorded_run.Store.finish
+
+    def finish(*arguments, **options):
+        events.append("result")
+        return plain(*arguments, **options)
+
+    monkeypatch.setattr(recorded_run.Store, "finish", finish)
+    monkeypatch.setattr(recorded_run, "_second", [SimpleNamespace(end=lambda: events.append("ended"))])
+    with pytest.raises(KeyboardInterrupt):
+        palmfield.run(
+            stopped_at(palmfield.load(small_scene()), 2, ctrl_c, monkeypatch), tmp_path / "out", progress=False
+        )
+    assert events == ["ended", "result"]
+
+
 def test_a_body_in_the_array_ends_a_run_in_memory_with_what_came_before(small_scene):
     path = small_scene()
     plain = path.with_name("plain.xml")
