@@ -9,7 +9,9 @@ from palmfield.config.base import Amounts, Config, Names, NonNegative, Positive,
 
 Length = Annotated[float, Field(ge=5e-4, le=1.0)]
 ArpLaw = Literal["default", "alpha"]
-Base = Literal["bonded", "free_slip", "free", "springs"]
+Base = Literal["bonded", "free_slip", "free", "springs", "deep", "muscle"]
+ENDLESS = ("deep", "muscle")
+"""Bases on which tissue goes on downwards without end."""
 Side = Literal["fixed", "free", "roller", "absorbing"]
 SPRINGS = ("base_normal_Pa_m", "base_tangential_Pa_m", "base_normal_Pa_s_m", "base_tangential_Pa_s_m")
 WHOLE_HISTORY = ("axisymmetric", "lateral_waves")
@@ -112,7 +114,12 @@ class SkinConfig(Config):
         None, description="overrides the preset: relaxation time of the Maxwell branch"
     )
     bulk_Pa: Positive | None = Field(None, description="overrides the preset: bulk modulus")
-    base: Base = Field("bonded", description="inner face of the layer; springs needs base_normal and base_tangential")
+    base: Base = Field(
+        "bonded",
+        description="inner face of the layer: bonded to bone, or sliding on it; free; springs, with base_normal and "
+        "base_tangential; deep: the deepest material goes on without end; muscle: muscle does. Use deep and "
+        "muscle with side absorbing",
+    )
     base_normal_Pa_m: Positive | None = Field(None, description="base springs: normal stiffness per area")
     base_tangential_Pa_m: Positive | None = Field(None, description="base springs: tangential stiffness per area")
     base_normal_Pa_s_m: NonNegative | None = Field(None, description="base springs: normal damping per area")
@@ -212,6 +219,8 @@ class SkinConfig(Config):
             raise ValueError(
                 f"{springs[0]} applies to base 'springs', but base is '{self.base}': remove the key, or set base"
             )
+        if self.base in ENDLESS and self.shape == "cylinder":
+            raise ValueError(f"base '{self.base}' is tissue without end, but shape 'cylinder' has a bone: use bonded")
         self._check_sheets()
         self._check_receptors()
         if self.obstacles and self.body_sound != "shadows":

@@ -16,6 +16,7 @@ from palmfield.drive.response_error import changes_of_motion
 from palmfield.estimate.array_biases import array_biases
 from palmfield.estimate.array_inputs import qualities
 from palmfield.estimate.bias import Bias
+from palmfield.estimate.numerics.base_band import base_band
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import main_frequencies
@@ -76,7 +77,19 @@ def biases(
         *_echo(model, skin, stimulus, posed, drive, highest),
         *array_biases(model, stimulus, drive),
         *_linear(model.skins[skin]),
+        *_below(model.skins[skin]),
     ]
+
+
+def _below(skin: SkinModel) -> list[Bias]:
+    """Return the bias of the tissue below a layer, which is not known: between bone and tissue without end."""
+    moved = base_band(skin.layer)
+    if moved is None:
+        return []
+    changes = {name: factor - 1.0 for name, factor in moved.items()}
+    each = ", ".join(f"{name} {100.0 * change:+.2g} %" for name, change in changes.items())
+    why = f"by key base, now {skin.spec.config.base}: {each}; for an infinite flat layer"
+    return [Bias("tissue below the layer", min(0.0, *changes.values()), max(0.0, *changes.values()), why)]
 
 
 def _linear(skin: SkinModel) -> list[Bias]:

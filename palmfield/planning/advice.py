@@ -330,6 +330,6 @@ def _below_cutoff(model: HapticModel, number: int) -> list[str]:
         return []
     layer = "the skin layer" if len(model.skins) == 1 else f"the skin layer of '{skin.spec.name}'"
     return [
-        f"at {', '.join(f'{f:g}' for f in low)} Hz {layer} carries no waves, so the motion stays near the focus: the "
-        f"cut-off c_s/4h is {cutoff:.0f} Hz"
+        f"at {', '.join(f'{f:g}' for f in low)} Hz {layer} carries no waves on its rigid base, so the motion stays "
+        f"near the focus: the cut-off c_s/4h is {cutoff:.0f} Hz; base deep or muscle has none"
     ]

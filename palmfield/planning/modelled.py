@@ -2,6 +2,7 @@
 
 from palmfield import cache
 from palmfield.acoustics.directivities import form_of
+from palmfield.config.skin import ENDLESS
 from palmfield.estimate.array_inputs import qualities
 from palmfield.estimate.cost import COARSER, FINER, estimate_s
 from palmfield.estimate.sending import offset_words, peak_offset, sending
@@ -112,7 +113,11 @@ def _layer(skin: SkinModel) -> list[Row]:
     speed, _ = shear_wave(layer.sheets[0].material, demand.max_frequency_Hz)
     share = layer.patch.report.get("share_thinned", 0.0)
     thinned = f", thinner than depth_m at {100 * share:.0f} % of its vertices (curved rims and webs)" if share else ""
-    base = "on a foundation" if skin.spec.config.foundation else skin.spec.config.base
+    config = skin.spec.config
+    base: str = "on a foundation" if config.foundation else config.base
+    if config.base in ENDLESS:
+        tissue = "muscle" if config.base == "muscle" else layer.sheets[-1].material.name
+        base += f" ({tissue} without end)"
     estimate = f"the same load on elements {COARSER} x larger or {FINER} x smaller, static, harmonic and over time"
     whole = "the region in which waves matter at this accuracy"
     if skin.carrier.surface is None:

@@ -1,5 +1,6 @@
 from .base import Foundation as Foundation
 from .base import Springs as Springs
+from .base import half_space as half_space
 from .costs import Choice as Choice
 from .costs import scene_choices as scene_choices
 from .fem.wedge_stepper import WedgeStepper as WedgeStepper

@@ -4,9 +4,9 @@ from dataclasses import astuple, replace
 
 import scipy  # loads its submodules at first use
 
-from palmfield.config.skin import OVERRIDES, SkinConfig
+from palmfield.config.skin import ENDLESS, OVERRIDES, SkinConfig
 from palmfield.errors import SceneError
-from palmfield.skin.base import BaseKind, Springs
+from palmfield.skin.base import Base, Springs, half_space
 from palmfield.skin.materials.catalogue import CATALOGUE, preset, softest_and_stiffest
 from palmfield.skin.materials.material import Branch, Material, shear_wave
 from palmfield.skin.materials.sheet import Sheet
@@ -70,11 +70,12 @@ def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
 
 
 def cutoff_Hz(skin: SkinConfig, sheets: tuple[Sheet, ...], depth_m: float) -> float | None:
-    """Return the frequency [Hz] below which a layer of this depth [m] guides no wave; None on a sliding or free base.
+    """Return the frequency [Hz] below which a layer of this depth [m] guides no wave; None on a sliding or free base
+    and on tissue without end.
 
     For springs instead of a rigid base, the result is an upper bound.
     """
-    return None if skin.base in ("free_slip", "free") else layer_cutoff(sheets, depth_m)
+    return None if skin.base in ("free_slip", "free", *ENDLESS) else layer_cutoff(sheets, depth_m)
 
 
 def sheets_in_words(sheets: tuple[Sheet, ...]) -> str:
@@ -84,10 +85,11 @@ def sheets_in_words(sheets: tuple[Sheet, ...]) -> str:
     return ", ".join(f"{100 * sheet.thickness_m:.3g} % {sheet.material.name}" for sheet in sheets)
 
 
-def base_of(skin: SkinConfig) -> BaseKind | Springs:
-    """Return the base of the layer in the form of `palmfield.skin.fem.assembly.assemble`."""
-    base = skin.base
-    return Springs(*(skin.springs or ())) if base == "springs" else base
+def base_of(skin: SkinConfig, sheets: tuple[Sheet, ...]) -> Base:
+    """Return the base of a layer of these sheets in the form of `palmfield.skin.fem.assembly.assemble`."""
+    if skin.base == "deep" or skin.base == "muscle":
+        return half_space(preset("muscle") if skin.base == "muscle" else sheets[-1].material)
+    return Springs(*(skin.springs or ())) if skin.base == "springs" else skin.base
 
 
 def material_of(skin: SkinConfig) -> Material:

@@ -100,7 +100,7 @@ class OwnMesh(ExplicitLayer, Protocol):
                 )
         # A slab of the same sheets; only base and materials are checked here
         sheets = tuple(Sheet(sheet.material, 0.01 * sheet.thickness_m) for sheet in self.layer.sheets)
-        slab = Slab(sheets, "disc", base_of(config), "fixed", 0.1)
+        slab = Slab(sheets, "disc", base_of(config, sheets), "fixed", 0.1)
         load = Spot(self.layer.demand.spot_fwhm_m, np.zeros(1), np.ones(1))
         reason = self.refusal(slab, load)
         if reason is not None:
@@ -115,9 +115,9 @@ class OwnMesh(ExplicitLayer, Protocol):
         if config.shape == "disc":
             assert config.radius_m and config.thickness_m
             sheets = tuple(Sheet(sheet.material, sheet.thickness_m * config.thickness_m) for sheet in self.layer.sheets)
-            return Slab(sheets, "disc", base_of(config), config.side, config.radius_m)
+            return Slab(sheets, "disc", base_of(config, sheets), config.side, config.radius_m)
         patch = self.layer.patch if refinement >= 1.0 else self.layer.resized(refinement * self.layer.resizing).patch
-        return Layer(patch, self.layer.sheets, base_of(config), config.side)
+        return Layer(patch, self.layer.sheets, base_of(config, self.layer.sheets), config.side)
 
     def planned_load(self) -> Spot:
         """Return the load for the choice of meshes; spot width and frequency come from the demand of the layer."""

@@ -18,6 +18,7 @@ from palmfield.hand.surface import mirrored_surface
 from palmfield.locked import locked_cached_property
 from palmfield.phases import phase
 from palmfield.skin.approximation.estimate import choose_sizes
+from palmfield.skin.base import Base, Foundation
 from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
@@ -248,12 +249,21 @@ class SceneLayer:
         with self.named, naming(mends=OF_MESH):
             yield
 
+    @property
+    def base(self) -> Base:
+        """The base of the layer, unless keys foundation_... replace it."""
+        return base_of(self.config, self.sheets)
+
+    @property
+    def _levels_below(self) -> int:
+        return self.base.levels if isinstance(self.base, Foundation) else 0
+
     @locked_cached_property
     def system(self) -> SkinSystem:
         """Mass, damping and stiffness."""
         materials = element_rows(self.sheets, self.sizes.depth_fractions)[1]
         return assemble(
-            self.mesh, materials, base=base_of(self.config), side=self.config.side,
+            self.mesh, materials, base=self.base, side=self.config.side,
             foundation_Pa_m=self.config.foundation, absorbing_Hz=self.demand.main_frequency_Hz,
         )  # fmt: skip
 
@@ -275,7 +285,7 @@ class SceneLayer:
     def dofs(self) -> int:
         """Return the number of unknowns without making matrices; roller and fixed sides remove a few of them."""
         held = self.config.base == "bonded" and self.config.foundation is None
-        return 3 * (len(self.mesh.nodes) - (self.mesh.surface_nodes if held else 0))
+        return 3 * (len(self.mesh.nodes) + self.mesh.surface_nodes * (self._levels_below - held))
 
     @property
     def expected_dofs(self) -> float:
@@ -286,10 +296,13 @@ class SceneLayer:
         # An equilateral triangle of edge a has the area 0.43 a^2; quadratic wedges have 2 nodes per triangle and level.
         fine = inner / sizes.edge_fine_m
         triangles = math.pi / 0.43 * (fine * fine + (sizes.radius_m**2 - inner**2) / middle / middle)
-        return 3.0 * 2.0 * triangles * 2.0 * (len(sizes.depth_fractions) - 1)
+        below = self._levels_below + 1 if self._levels_below else 0
+        return 3.0 * 2.0 * triangles * (2.0 * (len(sizes.depth_fractions) - 1) + below)
 
     @property
     def state_room(self) -> int:
         """Return an upper bound of the state size for any stepper of the layer, without making matrices."""
-        branches = sum(len(material.relaxation.branches) for material in {sheet.material for sheet in self.sheets})
-        return (3 + branches) * 3 * len(self.mesh.nodes)
+        below = self.base.sheets if isinstance(self.base, Foundation) else ()
+        materials = {sheet.material for sheet in (*self.sheets, *below)}
+        branches = sum(len(material.relaxation.branches) for material in materials)
+        return (3 + branches) * 3 * (len(self.mesh.nodes) + self._levels_below * self.mesh.surface_nodes)

@@ -1,13 +1,19 @@
-"""The band that the depth to the bone leaves of a displacement, against finite elements with other depths."""
+"""The bands that depth and base of a layer leave of a displacement, against finite elements with others."""
 
 import numpy as np
 import pytest
 import trimesh
+from half_space import impedance
 
 import palmfield
+from palmfield.estimate.numerics.base_band import responses
 from palmfield.estimate.numerics.depth_band import depth_band
 from palmfield.estimate.numerics.point_response import Response
 from palmfield.outputs.summary_table import format_summary
+from palmfield.skin import Sheet, half_space, preset
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.fem.depth import condensed, on_impedance
+from palmfield.skin.problem import spread
 
 pytestmark = pytest.mark.usefixtures("kept_operators")
 
@@ -52,3 +58,28 @@ def test_a_run_of_a_body_without_key_depth_m_has_the_band_by_name(small_scene):
     said = " ".join(format_summary(summary).replace("│", " ").split())
     assert f"depth to the bone x {depth['low']:.2g} to {depth['high']:.2g}" in said
     assert summary["skins"][0]["verdict"]["low_dB_SL"] < summary["skins"][0]["verdict"]["level_dB_SL"]
+
+
+@pytest.mark.parametrize("depth_m", [0.005, 0.012])
+def test_responses_on_each_base(depth_m):
+    """On bone against the exact layer, on tissue without end against plane waves in a half space."""
+    palm, muscle = preset("palm"), preset("muscle")
+    width = spread(0.0103)
+    k = np.linspace(0.05, 6.0 / width, 6001)
+    weights = k * width**2 * np.exp(-0.5 * (k * width) ** 2) * (k[1] - k[0])
+    for f_Hz in (0.0, 60.0, 200.0):
+        bases = ("bonded", half_space(palm), half_space(muscle))
+        bone, *found = responses([Sheet(palm, depth_m)], 0.0103, f_Hz, bases)
+        assert bone == pytest.approx(abs(centre_response(f_Hz, palm, depth_m, 0.0103)), rel=2e-3)
+        upper = condensed(k, f_Hz, [Sheet(palm, depth_m)])
+        for moved, material in zip(found, (palm, muscle), strict=True):
+            exact = abs(weights @ on_impedance(upper, impedance(k, max(f_Hz, 0.1), material)))
+            print(depth_m, f_Hz, material.name, moved / exact - 1.0)
+            assert moved == pytest.approx(exact, rel=0.02 if material is palm else 0.05)
+
+
+def test_a_run_has_the_band_of_bases_by_name(small_scene):
+    summary = palmfield.run(block(small_scene, 60.0, depth_m=0.008), progress=False).summary
+    found = summary["skins"][0]["error_budget"]["left_out"]
+    (below,) = [one for one in found if one["what"] == "tissue below the layer"]
+    assert below["low"] == 0.0 < below["high"] and "muscle +" in below["why"]

@@ -79,6 +79,32 @@ def test_springs_go_from_free_to_bonded(small_scene):
     assert bonded < on(3e6) < free
 
 
+def test_tissue_without_end_moves_more_than_bone(small_scene):
+    """Ecoflex on bone, on more Ecoflex, and on muscle, which is softer."""
+    shape = {"side": "fixed", "element_m": 0.004, "radius_m": 0.03}
+    bonded, deep, muscle = (push(small_scene(skin=shape | {"base": base})) for base in ("bonded", "deep", "muscle"))
+    assert bonded < deep < muscle
+
+
+@pytest.mark.parametrize("base", ["deep", "muscle"])
+def test_a_scene_on_tissue_without_end_runs_and_says_so(small_scene, base):
+    path = small_scene(skin={"base": base, "element_m": 0.004, "solver": "auto"})
+    planned = plan(load(path))
+    [row] = [row for row in planned.modelled if row.what == "skin layer"]
+    assert f"base {base} ({'muscle' if base == 'muscle' else 'ecoflex_00-10'} without end)" in row.why
+    assert "waves below the cut-off" not in [row.what for row in planned.besides]
+    model = load(path).runtime.model
+    layer = model.skins[0].layer
+    assert layer.dofs >= layer.system.ndof > layer.dofs - 3 * len(layer.mesh.side) * 3
+    summary = run(load(path), progress=False).summary
+    assert summary["skins"][0]["peak_displacement_m"] > 0
+
+
+def test_other_meshes_refuse_tissue_without_end(small_scene):
+    with pytest.raises(SceneError, match="solvers wedges and reduced"):
+        plan(load(small_scene(skin={"base": "deep", "solver": "particles"})))
+
+
 def test_dashpots_below_and_at_the_sides_take_energy(small_scene):
     springs = {"base": "springs", "base_normal_Pa_m": 1e6, "base_tangential_Pa_m": 1e6}
     quiet = damping(small_scene(skin=springs))
@@ -112,6 +138,8 @@ def test_a_layered_scene_runs(small_scene, tmp_path, solver):
         ({"base_normal_Pa_m": "1"}, "applies to base 'springs'"),
         ({"base": "free", "side": "free"}, "without support"),
         ({"base": "free_slip", "foundation_normal_Pa_m": "1", "foundation_tangential_Pa_m": "1"}, "remove one"),
+        ({"base": "deep", "foundation_normal_Pa_m": "1", "foundation_tangential_Pa_m": "1"}, "remove one"),
+        ({"base": "muscle", "base_normal_Pa_m": "1"}, "applies to base 'springs'"),
         ({"solver": "quick"}, "auto | wedges | reduced"),
         ({"materials": "palm nose", "shares": "0.5 0.5"}, "nose"),
     ],

@@ -2,6 +2,7 @@
 
 import math
 
+from palmfield.config.skin import ENDLESS
 from palmfield.simulation.model import StimulusModel
 from palmfield.simulation.spec import SkinSpec
 from palmfield.skin.scene_layer import SceneLayer
@@ -24,6 +25,8 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
         return "boundary elements for every sample load would cost more than a run"
     if config.side == "absorbing":
         return "absorbing sides couple the modes"
+    if config.base in ENDLESS:
+        return "the dashpots below its base couple the modes"
     return None
 
 

@@ -32,6 +32,17 @@ def match_speed(material: Material, f_Hz: float) -> float:
     return float(np.sqrt(complex_shear(material, f_Hz) / material.density_kg_m3).real)
 
 
+def side_springs(mesh: WedgeMesh, material: Material, f_Hz: float) -> float:
+    """Return the stiffness by damping of side faces held by the tissue around them [1/s]: G_r / R by area.
+
+    R: mean distance of the rim from its middle. The traction of a point load on a half space, by its displacement, is
+    about G / R at that distance; f_Hz: see side_dashpots
+    """
+    rim = mesh.nodes[np.unique(rim_edges(mesh))]
+    radius = float(np.linalg.norm(rim - rim.mean(axis=0), axis=1).mean())
+    return material.shear_relaxed_Pa / radius / (material.density_kg_m3 * match_speed(material, f_Hz))
+
+
 def side_dashpots(mesh: WedgeMesh, rows: Sequence[Material], f_Hz: float) -> sparse.csr_matrix:
     """Return the damping [N s/m] of the side faces over all nodal components, csr, shape (3 nodes, 3 nodes).
 

@@ -139,7 +139,7 @@ def assemble(
         # Checked here, because the matrices are made at first use
         raise SceneError(f"absorbing sides: frequency is {matched_Hz} Hz; give one above 0")
     held_base: BaseKind = "free" if isinstance(below.base, Springs) else below.base
-    directions = _free_directions(mesh, held_base, side, below.levels)
+    directions = _free_directions(mesh, held_base, side, below)
     columns = directions.tocsc()
     surface_node = ((columns.indices[columns.indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32)
     held = replace(springs, tangential_Pa_m=springs.tangential_Pa_m + shear_spring)
@@ -204,9 +204,10 @@ def _sums(
     if sponge_1_s is not None:
         sums.add("damping", pattern.scalars(np.tile(sponge_1_s, len(rows))[:, None, None] * mass))
     if matched_Hz is not None:
-        from palmfield.skin.fem.absorbing import side_dashpots
+        from palmfield.skin.fem.absorbing import side_dashpots, side_springs
 
-        sums.add("damping", side_dashpots(mesh, rows, matched_Hz))
+        of_rows = side_dashpots(mesh, rows, matched_Hz)
+        sums.add("damping", of_rows)
     held_bulk = [0.0 if row.bulk_relaxes else row.bulk_Pa for row in rows]
     sums.add("elastic", pattern.blocks((_by_row(mesh, held_bulk), volumetric)))
     for law in dict.fromkeys(row.law for row in rows):
@@ -216,6 +217,8 @@ def _sums(
         if any(bulk):
             stiff.append((_by_row(mesh, bulk), volumetric))
         sums.relax(next(row for row in own if row), pattern.blocks(*stiff))
+    if matched_Hz is not None and below.walled:
+        sums.relax(rows[-1], side_springs(mesh, rows[-1], matched_Hz) * of_rows)
     if below.sheets or springs != Springs(0.0, 0.0) or shear_spring > 0.0:
         # Most scenes have none of these terms
         from palmfield.skin.fem.foundation import BaseFace, rim_dashpots, sheet_mass, sheet_stiffness
@@ -233,8 +236,11 @@ def _sums(
             if sponge_1_s is not None:
                 sums.add("damping", material.density_kg_m3 * sheet_mass(face, height, degree, sponge_1_s), first)
             if matched_Hz is not None:
-                sums.add("damping", rim_dashpots(mesh, material, height, degree, matched_Hz), first)
-            first += 3 * degree * mesh.surface_nodes
+                sides = rim_dashpots(mesh, material, height, degree, matched_Hz)
+                sums.add("damping", sides, first)
+                if below.walled:
+                    sums.relax(material, side_springs(mesh, material, matched_Hz) * sides, first)
+            first += 3 * max(degree, 1) * mesh.surface_nodes
         along, out = face.product("along", "along"), face.product("out", "out")
         sums.add("elastic", springs.normal_Pa_m * out + springs.tangential_Pa_m * along, first)
         sums.add("damping", springs.normal_Pa_s_m * out + springs.tangential_Pa_s_m * along, first)
@@ -367,12 +373,12 @@ class _Pattern:
         return sparse.kron(one, sparse.identity(3), format="csr")
 
 
-def _free_directions(mesh: WedgeMesh, base: BaseKind, side: SideKind, deeper: int) -> sparse.csr_matrix:
+def _free_directions(mesh: WedgeMesh, base: BaseKind, side: SideKind, below: Foundation) -> sparse.csr_matrix:
     """Return the orthonormal directions in which each node may move, as columns over the components of all nodes.
 
-    deeper: number of node levels below the mesh; the sides continue along them and the last level lies on the base
+    below: its node levels lie below the mesh; the sides continue along them and the last level lies on the base
     """
-    levels = mesh.levels + deeper
+    levels = mesh.levels + below.levels
     count = levels * mesh.surface_nodes
     on_base = np.arange(count - mesh.surface_nodes, count)
     rim = mesh.side[: len(mesh.side) // mesh.levels]
@@ -396,6 +402,8 @@ def _free_directions(mesh: WedgeMesh, base: BaseKind, side: SideKind, deeper: in
         free[on_base] = 0
     if side == "fixed":
         free[on_side] = 0
+    elif below.walled and side == "free":
+        free[on_side[len(mesh.side) :]] = 0
     blocks = sparse.bsr_matrix((frames, np.arange(count), np.arange(count + 1)), shape=(3 * count, 3 * count))
     kept = np.flatnonzero((np.arange(3) < free[:, None]).ravel())
     result = sparse.csr_matrix(blocks.tocsr()[:, kept])

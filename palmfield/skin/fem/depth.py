@@ -31,13 +31,14 @@ def condensed(k: Float, f_Hz: float, sheets: Sequence[Sheet], degree: int | None
     """Return the dynamic stiffness of sheets [Pa/m], shape (n, 4, 4), for (a, b) on the top, then rise to the bottom.
 
     k: wavenumbers [rad/m], > 0, shape (n,); f_Hz: >= 0, under e^{-i w t}; sheets: from the top down
-    degree: degree of the one polynomial of each sheet; None: as many pieces of DEGREE as an exact result needs
+    degree: degree of the one polynomial of each sheet, see line_matrices; None: as many pieces of DEGREE as an exact
+        result needs
     """
     k = np.asarray(k, dtype=float)
     total = None
     for sheet in sheets:
-        count = 1 if degree else max(1, math.ceil(k.max() * sheet.thickness_m / REACH))
-        piece = _piece(k, f_Hz, sheet.material, sheet.thickness_m / count, degree or DEGREE)
+        count = 1 if degree is not None else max(1, math.ceil(k.max() * sheet.thickness_m / REACH))
+        piece = _piece(k, f_Hz, sheet.material, sheet.thickness_m / count, DEGREE if degree is None else degree)
         for _ in range(count):
             total = piece if total is None else _joined(total, piece)
     assert total is not None
@@ -90,6 +91,7 @@ def _piece(k: Float, f_Hz: float, material: Material, h: float, degree: int) -> 
     """Return the condensed stiffness of one polynomial piece of height h [m], shape (n, 4, 4)."""
     shear, bulk = complex_shear(material, f_Hz), complex_bulk(material, f_Hz)
     mass, slope, mixed, projected = _by_rise(degree, h)
+    degree = max(degree, 1)
     # z points up and nodes are numbered downwards, so a derivative by z is minus the derivative by depth.
     wave = k[:, None, None]
     lame = bulk - 2.0 / 3.0 * shear
@@ -106,9 +108,10 @@ def _piece(k: Float, f_Hz: float, material: Material, h: float, degree: int) -> 
 
 def _by_rise(degree: int, h: float) -> tuple[Float, Float, Float, Float]:
     """Return line_matrices with the constant 1 as first function; the others then multiply rises from the top."""
+    lines, degree = line_matrices(degree, h), max(degree, 1)
     whole = np.eye(degree + 1)
     whole[:, 0] = 1.0
-    mass, slope, mixed, projected = (whole.T @ matrix @ whole for matrix in line_matrices(degree, h))
+    mass, slope, mixed, projected = (whole.T @ matrix @ whole for matrix in lines)
     # The derivative of 1 is 0. The other derivatives have integral 0, except the lowest (function 1 at the bottom): 1.
     slope[0], slope[:, 0], mixed[:, 0] = 0.0, 0.0, 0.0
     mixed[0, 1:] = np.arange(1, degree + 1) == degree
@@ -137,7 +140,8 @@ def _unit_line(degree: int) -> tuple[Float, Float, Float, Float]:
 def line_matrices(degree: int, h: float) -> tuple[Float, Float, Float, Float]:
     """Return int N_i N_j, N_i' N_j', N_i N_j' and Pi N_i Pi N_j over a height h [m], each (degree + 1, degree + 1).
 
-    N: Lagrange functions of depth on Lobatto points, from the top down; Pi: projection on one degree less
+    N: Lagrange functions of depth on Lobatto points, from the top down; Pi: projection on one degree less. Degree 0 is
+    degree 1 with one point of integration: Pi replaces N.
     """
-    mass, slope, mixed, projected = _unit_line(degree)
-    return 0.5 * h * mass, 2.0 / h * slope, mixed, 0.5 * h * projected
+    mass, slope, mixed, projected = _unit_line(max(degree, 1))
+    return 0.5 * h * (mass if degree else projected), 2.0 / h * slope, mixed, 0.5 * h * projected

@@ -22,6 +22,7 @@ unless half the depth was meshed.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
@@ -166,7 +167,7 @@ def fit_foundation(
         result = Foundation(tuple(below), base, degree)
         misfit = np.array([case.misfit(result) for case in cases]).reshape(len(frequencies_Hz), -1).max(axis=1)
         if misfit.max() <= target:
-            return Foundation(tuple(below), base, degree, tuple(frequencies_Hz), tuple(float(x) for x in misfit))
+            return replace(result, frequencies_Hz=tuple(frequencies_Hz), misfit=tuple(float(x) for x in misfit))
     worst = int(np.argmax(misfit))
     raise SceneError(
         f"foundation: at degree {MOST_DEGREE} the error is still {100 * misfit[worst]:.3g} % at "

@@ -166,6 +166,29 @@ CATALOGUE: dict[str, Preset] = {
         ),
         (Observation("surface speed", 200.0, 3.25, 0.19, f"forearm of a volunteer, {ZHANG}"),),
     ),
+    "muscle": Preset(
+        prony(
+            "muscle",
+            1060.0,
+            3.7e3,
+            (6.22e3,),
+            (1.021e-3,),
+            source="relaxed calf muscles in vivo by magnetic resonance elastography, Kang et al. 2007 (doi "
+            "10.4028/www.scientific.net/KEM.342-343.901): shear modulus 3.7 kPa, taken as G_r; viscosity 4.5 Pa s at "
+            "100 Hz and 2.4 Pa s at 200 Hz, whose loss moduli set the branch. Isotropic and density assumed. nu "
+            "0.4999 with the instantaneous modulus",
+        ),
+        (
+            Range(
+                "shear",
+                0.52,
+                2.25,
+                "relaxed muscle: 1.93 kPa across and 5.77 kPa along the fibres of a thigh (PMC8754054) to 8.3 kPa, a "
+                "third of Young's modulus of the thenar muscle abductor pollicis brevis, 25.0 kPa (Iida et al. 2025, "
+                "doi 10.1016/j.ultrasmedbio.2024.12.003)",
+            ),
+        ),
+    ),
 }
 
 
