@@ -12,12 +12,15 @@ from palmfield.errors import SceneError
 from palmfield.estimate.estimated_run import run
 from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import load
+from palmfield.simulation.posed_scene import reference_scene
 from palmfield.simulation.small_models import known_load
 from palmfield.simulation.small_models.known_load import MOST_TURNS, refusal
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE
+from palmfield.skin.fem.solver import harmonic
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.reduction import reduced_stepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
+from palmfield.stimulus.modulation import arp_lines
 
 JOINT = '<joint name="slide" type="slide" axis="1 0 0" stiffness="400" damping="10"/>'
 STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
@@ -254,6 +257,29 @@ def test_one_small_model_serves_a_load_at_any_level(small_scene, tmp_path, monke
 
     assert [made(drive_amplitude=level) for level in (1.0, 0.7, 0.123)] == [1, 1, 1]
     assert made(drive_amplitude=0.7, focus_m="0.002 0 0.12") == 2
+
+
+def test_the_error_holds_at_every_frequency_of_the_band(small_scene):
+    """Modulated motion of lightly damped gelatin, displacement and velocity, in the model of 200 Hz."""
+    sim = load(small_scene(skin=SKIN | {"material": "gelatin_2", "accuracy": 0.2}, array={"response": "off"}))
+    model, small = sim.runtime.model, stepper_of(sim)
+    layer, lines = model.skins[0].layer, arp_lines(model.stimuli[0].config)
+    pressure = known_load.known_load(model, 0, reference_scene(model))[1][0].astype(float)
+    force, read = layer.quadrature.operator @ pressure, layer.surface_operator
+    shares = np.array([[lines.first], [lines.second]])
+    for f_Hz in (23.0, 61.0, 97.0, 143.0, 187.0):
+        whole = shares * [read @ harmonic(layer.system, force, n * f_Hz) for n in (1, 2)]
+        mine = shares * [small.harmonic(pressure[small.points], n * f_Hz, read) for n in (1, 2)]
+        rates = np.array([[1.0], [2.0]])
+        print(f_Hz, small.error, relative(mine, whole), relative(rates * mine, rates * whole))
+        assert max(relative(mine, whole), relative(rates * mine, rates * whole)) < small.error
+
+
+def test_all_frequencies_of_a_band_share_a_small_model(small_scene, tmp_path, monkeypatch):
+    monkeypatch.setenv("PALMFIELD_CACHE", str(tmp_path / "cache"))
+    for f_Hz in (200, 187, 163.7):
+        stepper_of(load(fixed(small_scene(stimulus={"am_frequency_Hz": f_Hz}, skin=SKIN))))
+    assert sum(entry.kind == "small-model" for entry in cache.entries()) == 1
 
 
 def test_a_run_from_the_cache_does_not_compute_its_load(small_scene, tmp_path, monkeypatch):

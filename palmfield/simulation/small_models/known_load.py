@@ -28,6 +28,7 @@ from palmfield.skin.reduction.reduced_stepper import (
     reduced_stepper,
 )
 from palmfield.skin.scene_layer import SceneLayer
+from palmfield.stimulus.modulation import arp_lines
 from palmfield.stimulus.schedule import (
     first_point,
     frames_at,
@@ -51,6 +52,8 @@ resolve.
 """
 TRIAL_S, LONGEST_TRIAL_S = 0.03, 0.1
 """Time of the load under which models are compared [s], and its upper limit for a load with a longer period."""
+TONES = 16
+"""Number of modulation frequencies, equally spaced up to the end of the band, at which models are compared."""
 REST_S = 2.5e-3
 """Longest rest of a focus at each point of its path [s]. With a longer rest the load is not one smooth course."""
 MOST_SAMPLES = 1024
@@ -218,7 +221,8 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
         shape: Float = operator @ pressures.T
         lines = [0.0, *(main_frequencies(config) or [layer.demand.main_frequency_Hz])]
         spectrum: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
-        return KnownLoad(shape, shape, [frames_at(config, start + trial)[1][:, None]], spectrum), pressures
+        shares = [frames_at(config, start + trial)[1][:, None]]
+        return KnownLoad(shape, shape, shares, spectrum, _tones(config)), pressures
     count = samples(config, turn, layer.demand.max_frequency_Hz)
     skip = math.ceil(_settling_s(stimulus) * count / turn)
     drives, level_of = at_full_level(steady_drives(model, number, posed, turn / count, skip, count))
@@ -263,6 +267,15 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     shapes = np.column_stack([course.shapes, impulse])
     shares = [np.column_stack([part, np.zeros(len(trial))]) for part in trials]
     return KnownLoad(course, shapes, shares, spectrum), examples
+
+
+def _tones(config: StimulusConfig) -> list[tuple[Float, Complex]]:
+    """Return the first two lines of modulation at TONES frequencies of the band that ends at that of the stimulus."""
+    lines, highest_Hz = arp_lines(config), config.am_frequency_Hz
+    if lines is None or highest_Hz is None:
+        return []
+    harmonics_Hz, shares = highest_Hz * np.array([1.0, 2.0]), np.array(lines[1:], dtype=complex)
+    return [(k / TONES * harmonics_Hz, shares) for k in range(1, TONES + 1)]
 
 
 def at_end_of_band(config: StimulusConfig, highest_Hz: float) -> StimulusConfig:

@@ -1,7 +1,7 @@
 """Step a skin by a reduced model for a predicted load, exactly in time; a substep is one dense product."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
@@ -48,12 +48,15 @@ class KnownLoad:
     shapes: [N], shape (n, m).
     trials: courses from rest under which models are compared: shares at the times of the steps, (t, m) each.
     spectrum: some frequencies of the load [Hz], each with its complex shares, (m,), under e^{-i w t}.
+    tones: steady motions under the first shape in which models are compared too: the frequencies of the lines of each
+        [Hz], (f,), and their complex shares, (f,).
     """
 
     basis: Float | Course
     shapes: Float
     trials: list[Float]
     spectrum: list[tuple[float, Complex]]
+    tones: Sequence[tuple[Float, Complex]] = ()
 
 
 class ReducedStepper(SkinStepper):
@@ -289,7 +292,7 @@ def reduced_stepper(
     highest_Hz: highest relevant frequency [Hz]. tolerance: target relative error.
     pressures: shapes that compose the load, so that only their points are evaluated; None for all points.
     The error is the larger of two estimates. The first is SAFETY times the change of the motion under the load, from
-    rest, by the last ROUND or more vectors, in L2 over times, over the surface or at the point, whichever is larger.
+    rest or in a tone, by the last ROUND or more vectors, in L2, over the surface or at the point, whichever is larger.
     The second is the error of the steady motion over the surface at the frequencies of the load: the displacement under
     the residual, by the stored factors. Both come from a smaller or stiffer body than the true one, so they are no
     bounds. Raises SceneError if MOST_VECTORS do not reach the tolerance.
@@ -363,6 +366,9 @@ class _Trial:
                 model.step(state, first, last, step_s)
                 moved.append(model.displacement(state))
             self.moved.append(np.array(moved))
+        for frequencies, tone in load.tones:
+            lines = tone[:, None] * np.array([small.harmonic(f_Hz) for f_Hz in frequencies])
+            self.moved.append(np.concatenate([lines.real, lines.imag]))
 
     def change(self, other: "_Trial", krylov: "Krylov", surface: Any, point: Any) -> float:
         """Return the relative difference from a model with fewer vectors, L2 over times: surface or point."""
