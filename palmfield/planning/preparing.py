@@ -4,10 +4,11 @@ import math
 from typing import NamedTuple
 
 from palmfield import cache
+from palmfield.estimate.cost import estimate_s
 from palmfield.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.small_models import mode_estimate
-from palmfield.skin.costs import modal_step_s, modes_s
+from palmfield.skin.costs import modal_start_s, modal_step_s, modes_s
 from palmfield.skin.reduction.modal_stepper import MOST_SHARE
 
 MOST_RUNS = 1000
@@ -38,7 +39,10 @@ def preparing(skin: SkinModel, duration_s: float) -> Preparing | None:
     laws = mode_estimate.laws(layer)
     reduced = not skin.solver.any_pose
     without_s = skin.choice.seconds if reduced else skin.choice.wedges_s
-    saved_s = without_s - duration_s / layer.sizes.step_s * modal_step_s(modes, laws)
+    with_s = modal_start_s(layer.dofs, modes) + duration_s / layer.sizes.step_s * modal_step_s(modes, laws)
+    # A reduced model also serves the error estimate, modes do not
+    modal = SkinModel(skin.spec, skin.body, skin.carrier, layer, skin.choice._replace(name="modal"))
+    saved_s = without_s + estimate_s(skin) - with_s - estimate_s(modal)
     made_s = modes_s(layer.dofs, modes, laws)
     if made_s > MOST_RUNS * saved_s:
         return None
@@ -57,7 +61,7 @@ def preparing_rows(model: HapticModel) -> list[Row]:
         which = "" if skin.solver.of_class else f" --set {skin.spec.name}.solver=modal, also in these runs,"
         why = (
             f"palmfield prepare{which} makes modes for all foci of the region, frequencies of the band and levels; "
-            f"without them each run for another of these makes its own {costs.without}"
+            f"without them each run for another focus makes its own {costs.without}"
         )
         rows.append(Row("preparing", size, why, skin.spec.name))
     return rows

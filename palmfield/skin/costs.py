@@ -42,6 +42,11 @@ def modes_s(dofs: float, modes: float, laws: int = 1) -> float:
     return factor_s(dofs) + modes * vector_s(dofs) + 5e-10 * dofs * modes**2 + 2e-9 * modes**3 + together
 
 
+def modal_start_s(dofs: float, modes: float) -> float:
+    """Return the time to read modes from the cache and make their readers [s]: 1.4 s of a run of `palm_am200`."""
+    return 5e-8 * dofs * modes
+
+
 def modal_step_s(modes: float, laws: int = 1) -> float:
     """Return the time of one substep of modes [s] with load products; several laws add one product each."""
     together = 1e-5 + 6e-11 * (laws - 1) * modes**2 if laws > 1 else 0.0

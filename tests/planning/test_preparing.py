@@ -10,7 +10,7 @@ from palmfield.planning import preparing as module
 from palmfield.planning.preparing import preparing, preparing_rows
 from palmfield.session.preview import preview
 from palmfield.simulation.small_models import mode_estimate
-from palmfield.skin.costs import modal_step_s, modes_s, reduced_s, wedges_s
+from palmfield.skin.costs import modal_start_s, modal_step_s, modes_s, reduced_s, wedges_s
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 PALM = SCENES / "palm_am200.xml"
@@ -21,8 +21,8 @@ def cache(monkeypatch, tmp_path):
     monkeypatch.setenv("PALMFIELD_CACHE", str(tmp_path))
 
 
-def skin_of(scene, **options):
-    view = preview(scene, **options)
+def skin_of(scene, accuracy=0.1, **options):
+    view = preview(scene, accuracy=accuracy, **options)
     return view, view.runtime.model.skins[0]
 
 
@@ -36,7 +36,7 @@ def test_from_the_stated_number_of_runs_modes_cost_less(scene, without):
     others = wedges_s(skin.layer.dofs, steps) if without == "wedges" else skin.choice.seconds
 
     def with_modes(runs):
-        return once + runs * steps * modal_step_s(modes, laws)
+        return once + runs * (modal_start_s(skin.layer.dofs, modes) + steps * modal_step_s(modes, laws))
 
     assert skin.choice.name == ("modal" if without == "wedges" else "reduced")
     assert with_modes(made.runs) <= made.runs * others
@@ -69,15 +69,16 @@ def test_a_row_says_the_command_and_the_numbers():
 @pytest.mark.parametrize(
     ("scene", "keys"),
     [
+        (PALM, {"skin.accuracy": 0.05}),  # its reduced model serves the error estimate, which costs modes as much
         (SCENES / "phantom_am200.xml", {}),  # its modes would be more than the unknowns allow
         (SCENES / "stroke_palm.xml", {}),  # they would pay after thousands of runs
         (PALM, {"skin.body_sound": "scattering", "skin.element_m": 0.01}),
         (PALM, {"skin.side": "absorbing"}),
     ],
-    ids=["too many modes", "too many runs", "scattering", "absorbing"],
+    ids=["another estimate", "too many modes", "too many runs", "scattering", "absorbing"],
 )
 def test_nothing_is_said_where_preparing_has_no_effect(scene, keys):
-    view, _ = skin_of(scene, keys=keys)
+    view, _ = skin_of(scene, accuracy=None, keys=keys)
     assert preparing_rows(view.runtime.model) == []
 
 
