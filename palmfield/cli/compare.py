@@ -49,12 +49,19 @@ def compare(
 
     The scan is moved onto the skin, and the computed motion passes through a model of the same instrument.
 
+    With `force-law` in place of DIR, it judges a data sheet of docs/gallery/force_law.md.
+
     Example: palmfield compare out/palm scan.csv --instrument head.toml
     """
     from palmfield.outputs.scan_files import write_scan
+    from palmfield.studies.compare.force_law import NAME, force_law
     from palmfield.studies.compare.run import FILES
     from palmfield.studies.compare.run import compare as compare_run
 
+    if str(run) == NAME:
+        judged = force_law(measured)
+        print_json({"ratios": [one.__dict__ for one in judged]}) if as_json else print(*judged, sep="\n")
+        return
     out = out or (run if run.is_dir() else run.parent) / "compare"
     done = compare_run(
         run, measured, instrument=instrument, skin=skin, fiducials=fiducials, onto_surface=not as_placed,

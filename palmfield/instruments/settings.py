@@ -40,6 +40,8 @@ def _explained(model: type[Settings], values: dict[str, Any], error: Any) -> str
         near = did_you_mean(key, model.model_fields)
         return f"unknown key '{key}'{near}; allowed: {', '.join(model.model_fields)}"
     limits = allowed(model, key)
+    if key not in values:
+        return f"key '{key}' is missing; give {limits}"
     near = did_you_mean(str(values[key]), limits.split(" | ")) if " | " in limits else ""
     return f"key '{key}' has value {values[key]!r}{near}; allowed: {limits}"
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -23,6 +23,21 @@ def papers(
         list[str] | None,
         typer.Option(help="only this number of docs/gallery/tolerances.toml, printed; may be repeated", metavar="ID"),
     ] = None,
+    scans: Annotated[
+        Path | None,
+        typer.Option(
+            help="folder of measured scans, predicted blind and scored (docs/gallery/scans.md)", metavar="FOLDER"
+        ),
+    ] = None,
+    variable: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="a key of [variables] of these scans, such as velocity=y; may be repeated", metavar="KEY=NAME"
+        ),
+    ] = None,
+    predict_only: Annotated[
+        bool, typer.Option("--predict-only", help="register predictions of scans and do not read their velocity")
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="print only JSON, with units in the names, for other programs")
     ] = False,
@@ -33,11 +48,31 @@ def papers(
 
     Example: palmfield papers chilles2019 --quick
     """
+    if scans is not None:
+        given = dict(word.partition("=")[::2] for word in variable or ())
+        options = {"quick": quick, "device": device, "names": given, "predict_only": predict_only}
+        _scans(names or (), scans, out / "reardon2023_scans", as_json, options)
+        return
     if only:
         raise typer.Exit(_numbers(only, quick=quick, device=device, as_json=as_json))
     raise typer.Exit(
         _papers(names or (), quick=quick, out=out, device=device, jobs=jobs, quiet=context.obj, as_json=as_json)
     )
+
+
+def _scans(names: Sequence[str], folder: Path, out: Path, as_json: bool, options: dict[str, Any]) -> None:
+    """Predict and score scans, and print the digest and the table."""
+    from palmfield.cli.as_json import print_json
+    from palmfield.errors import MeasurementError
+    from palmfield_papers.reardon2023.scan_score import score, table
+
+    if list(names) != ["reardon2023"]:
+        raise MeasurementError(f"--scans with {' '.join(names) or 'all papers'}; give it with reardon2023 alone")
+    digest, verdicts = score(folder, out, **options)
+    if as_json:
+        print_json({"digest": digest, "folder": str(out), "verdicts": [one.__dict__ for one in verdicts]})
+    else:
+        print(f"{table(digest, verdicts)}wrote {out}")
 
 
 def _papers(names: Sequence[str], *, quick: bool, out: Path, device: str, jobs: int, quiet: bool, as_json: bool) -> int:

@@ -1,19 +1,19 @@
 """Read and write scans as MATLAB files.
 
 Variables: `time_s` (t), `points_m` (n by 3), `velocity_m_s` or `displacement_m` (t by n), and `sights` (n by 3), which
-may be missing. SciPy reads files up to version 7, h5py version 7.3, which is HDF5. Version 5 is written.
+may be missing. Other names need a file NAME.toml next to NAME.mat, see `named_mat`. SciPy reads files up to version 7,
+h5py version 7.3, which is HDF5. Version 5 is written.
 """
 
 from pathlib import Path
-from typing import Any
 
-import h5py
-import numpy as np
-from scipy.io import loadmat, savemat
+from scipy.io import savemat
 
 from palmfield.errors import MeasurementError
-from palmfield.files import regular, writing
+from palmfield.files import writing
 from palmfield.instruments.scan import Quantity, Scan
+from palmfield.instruments.settings import read_settings
+from palmfield.outputs.scan_files.named_mat import MatVariables, NamedMat, listed, read_variable
 
 VALUES: dict[str, Quantity] = {"velocity_m_s": "velocity", "displacement_m": "displacement"}
 NAMES = {quantity: name for name, quantity in VALUES.items()}
@@ -22,11 +22,9 @@ KNOWN = ("time_s", "points_m", "sights", *VALUES)
 
 def read_mat(file: Path) -> Scan:
     """Read a scan from a MATLAB file. Raises MeasurementError for missing variables and wrong shapes."""
-    try:
-        found = _variables(file)
-    except Exception as error:
-        # SciPy raises various errors for damaged files, from ValueError to errors of zlib
-        raise MeasurementError(f"{file}: cannot be read: {error}; give a MATLAB file") from None
+    if (names := file.with_suffix(".toml")).is_file():
+        return NamedMat(file, read_settings(names, MatVariables)).scan()
+    found = listed(file)
     there = [name for name in VALUES if name in found]
     if len(there) != 1:
         raise MeasurementError(
@@ -35,21 +33,9 @@ def read_mat(file: Path) -> Scan:
     for name in ("time_s", "points_m"):
         if name not in found:
             raise MeasurementError(f"{file}: has no variable '{name}'; give {', '.join(KNOWN)}")
-    for name in KNOWN:
-        if name in found and (np.asarray(found[name]).dtype.kind not in "fiu"):
-            raise MeasurementError(f"{file}: variable {name} has values that are not real numbers")
-    arrays = {name: np.asarray(found[name], dtype=float) for name in KNOWN if name in found}
+    arrays = {name: read_variable(file, name).astype(float) for name in KNOWN if name in found}
     times_s, points, values = arrays["time_s"].ravel(), arrays["points_m"], arrays[there[0]]
     return Scan(VALUES[there[0]], times_s, points, values, arrays.get("sights"), file.name)
-
-
-def _variables(file: Path) -> dict[str, Any]:
-    try:
-        return dict(loadmat(regular(file), variable_names=KNOWN))
-    except NotImplementedError:
-        with h5py.File(file) as opened:
-            # MATLAB stores columns first, so its arrays are transposed in HDF5
-            return {name: np.asarray(opened[name]).T for name in KNOWN if name in opened}
 
 
 def write_mat(file: Path, scan: Scan) -> None:
