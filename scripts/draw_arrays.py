@@ -261,7 +261,7 @@ def page(spots: dict[str, Spot]) -> str:
         f"{table_misfit(T4010A1_DIRECTIVITY):.4f} of the value on the axis.",
         "",
     ]
-    lines += ["## How loud the transducers are", "", *LEVEL, *level_table(spots), "", *CSV, *CALIBRATION]
+    lines += ["## How loud the transducers are", "", *LEVEL, *level_table(spots), "", *CSV]
     first: dict[str, str] = {}
     for name in spots:
         entry = LAYOUTS[name]
@@ -290,8 +290,8 @@ def level_table(names: Iterable[str]) -> list[str]:
 LEVEL = [
     "p0 is the peak pressure of one transducer at 1 m on its axis at full drive. ARP and motion are proportional "
     "to its square: a range of 0.7 to 2.6 Pa m is a factor of 14. p0 was not measured for any layout. So results "
-    "are uncalibrated and have a range, until key `calibration` of `palmfield.array` names a file from a "
-    "laboratory. With key `arp_peak_Pa`, p0 decides only whether the array can reach the level. Q is the quality "
+    "are uncalibrated and have a range, until key `calibration` of `palmfield.array` names a "
+    "[calibration](calibration.md). With key `arp_peak_Pa`, p0 decides only whether the array can reach the level. Q is the quality "
     "of the resonance.",
     "",
 ]
@@ -302,14 +302,6 @@ CSV = [
     "`x_m`, `y_m`, `z_m` (or `_mm`) are the position in the frame of the site of the array. `nx`, `ny`, `nz` are "
     "the direction of emission (default z). `gain` is relative to p0 (0 is dead, -1 inverted), `phase_deg` is the "
     "phase, and `address` the place in the byte order of the board.",
-    "",
-]
-CALIBRATION = [
-    "## Calibrations",
-    "",
-    "Key `calibration` names a JSON file with the measured properties of one board: p0, resonance, position, and "
-    "the polarity, phase and gain of each transducer ([calibration](calibration.md)). Polarity and phase are "
-    "subtracted from the drive ([boards](boards.md#faults-and-calibration)).",
     "",
 ]
 NOTES = [

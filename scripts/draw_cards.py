@@ -51,8 +51,7 @@ def main() -> None:
         lines = [
             "# Report cards",
             "",
-            "For users of their own meshes. This page has the report cards of many meshes; "
-            "[your own mesh](user_meshes.md) explains the words. Written by `python scripts/draw_cards.py`, "
+            "[Your own mesh](user_meshes.md) explains the words. Written by `python scripts/draw_cards.py`, "
             f"commit {commit}.",
             "",
             "## The presets",

@@ -75,9 +75,7 @@ joints_deg = { index_mcp_flexion = 30 }    # angles that differ from the pose
 
 A pose whose skin intersects itself is refused; the error gives the number of the key.
 
-The focus moves with the hand if key `frame` of the stimulus names a site of the hand (`index_pad`, `palm_centre`).
-With `path_on` `skin`, the path is drawn on the skin around the point nearest to `focus_m`. With `path` `sites`, it
-is the shortest path on the skin through the sites in `path_sites`. """
+Keys `frame`, `path_on` and `path_sites` of the stimulus ([keys](keys.md)) make the focus follow the hand. """
 
 
 def main() -> None:

@@ -166,16 +166,16 @@ def report(rows: list[dict[str, Any]], out: Path, count: int) -> None:
     lines = [
         "# Is the estimated error of the velocity true?",
         "",
-        "For everyone who relies on error estimates. `python scripts/verification/coverage_velocity.py run` solves the "
+        "`python scripts/verification/coverage_velocity.py run` solves the "
         "cases, and `report` writes the page. [velocity.jsonl](coverage/velocity.jsonl) has one line per case. Code: "
         + ", ".join(sorted({row["commit"] for row in rows}))
         + f". Seeds: {', '.join(sorted({row['key'].partition('-')[0] for row in rows}))}.",
         "",
         "Bodies, materials and loads are random, of ten kinds. Half of the cases have a target accuracy of the "
-        "velocity, half of the displacement. The true error is in relative L2 over the times, at the worst point. "
+        "velocity, half of the displacement. True error and judged cases are defined as for "
+        "[displacements](skin_coverage.md). "
         f"The reference is another solver at {FINER:g} of the accuracy or {SHARE:g} of the estimate, or else a "
-        "finer solution of the same solver. A case is judged if the error of the reference is at most "
-        f"{CONVERGED:g} of the larger of estimate and true error. All materials except those with short branches "
+        "finer solution of the same solver. All materials except those with short branches "
         f"have a dashpot; without it no reference can be computed in a minute. {drawn - len(rows)} of {drawn} cases "
         "had no result at the end. Intervals are 95 % intervals.",
         "",
