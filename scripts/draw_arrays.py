@@ -291,8 +291,8 @@ LEVEL = [
     "p0 is the peak pressure of one transducer at 1 m on its axis at full drive. ARP and motion are proportional "
     "to its square: a range of 0.7 to 2.6 Pa m is a factor of 14. p0 was not measured for any layout. So results "
     "are uncalibrated and have a range, until key `calibration` of `palmfield.array` names a "
-    "[calibration](calibration.md). With key `arp_peak_Pa`, p0 decides only whether the array can reach the level. Q is the quality "
-    "of the resonance.",
+    "[calibration](calibration.md). With key `arp_peak_Pa`, p0 decides only whether the array can reach the level. "
+    "Q is the quality of the resonance.",
     "",
 ]
 CSV = [
