@@ -1,12 +1,14 @@
 """Classes of pressures: what few shapes and few points tell of them."""
 
+import threading
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
-from palmfield.skin.reduction.load_shapes import POINTS, load_shapes
+from palmfield.skin.reduction.load_shapes import POINTS, TURNS, load_shapes
 
 
 def spots(count=600, seed=0, width=0.01):
@@ -83,6 +85,19 @@ def test_points_that_lu_takes_of_many_shapes_tell_them_as_well(monkeypatch):
         errors.append(norm(others - seen, weights))
     assert errors[1] != errors[0]
     assert errors[1] < 2.0 * errors[0]
+
+
+def test_ctrl_c_does_not_wait_for_the_search_for_shapes(monkeypatch):
+    threads, qr = [], np.linalg.qr
+
+    def noted(matrix):
+        threads.append(threading.current_thread().name)
+        return qr(matrix)
+
+    monkeypatch.setattr(np.linalg, "qr", noted)
+    examples, weights = spots()
+    load_shapes(examples, weights, 0.01)
+    assert threads[:TURNS] == ["palmfield-native"] * TURNS
 
 
 def test_what_can_be_no_class_is_refused():

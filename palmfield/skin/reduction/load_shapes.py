@@ -15,6 +15,7 @@ import numpy as np
 import scipy  # loads its submodules at first use
 
 from palmfield.errors import SceneError
+from palmfield.interrupts import left_by_interrupts
 from palmfield.threads import in_parts
 from palmfield.types import Float, Float32, Int
 
@@ -67,7 +68,7 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
     size = float(np.trace(products))
     if not size > 0.0:
         raise SceneError("the sound of the arrays does not reach the skin, so there are no sample loads for modes")
-    values, turn = _leading(products, tolerance)
+    values, turn = left_by_interrupts(partial(_leading, products, tolerance))
     omitted = np.sqrt(np.maximum(1.0 - np.cumsum(values) / size, 0.0))
     most = int((values > 1e-12 * values[0]).sum())
     count = in_gap(np.sqrt(np.maximum(values[:most], 0.0)), int(np.searchsorted(-omitted, -tolerance)) + 1)
