@@ -34,6 +34,8 @@ from palmfield.phases import phase
 LIMIT_MB = 2048
 WAIT_S = 600.0
 """Longest wait for another process that computes the same result [s]; then it is computed here too."""
+MODES_S = 30 * 86400.0
+"""Time by which the removal of modes is later than that of other entries [s]: they take half a minute to compute."""
 OFF = ("off", "0", "none")
 MARKS = "palmfield_marks"
 """Array in a file with the digest of the inputs and that of the other arrays."""
@@ -253,7 +255,11 @@ def _write(path: Path, key: str, answer: Arrays) -> None:
 def _make_room(newest: Path) -> None:
     """Remove the least recently used entries beyond the limit, and temporary files of killed processes."""
     total, limit = 0, limit_bytes()
-    for entry in sorted(entries(), key=lambda entry: (entry.path != newest, -entry.used)):
+
+    def removal(entry: Entry) -> tuple[bool, float]:
+        return entry.path != newest, -entry.used - MODES_S * (entry.kind == "modes")
+
+    for entry in sorted(entries(), key=removal):
         total += entry.size_bytes
         if total > limit:
             if entry.path == newest:

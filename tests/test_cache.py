@@ -173,7 +173,7 @@ def test_another_scenes_entries_under_a_scenes_names_change_nothing(place):
     own = {entry.kind: [] for entry in cache.entries()}
     for entry in cache.entries():
         own[entry.kind].append(entry.path)
-    results("gelatin_2", (0.005, 0, 0.2), 100.0)
+    results("palm", (0.005, 0, 0.2), 100.0)
     known = {path for paths in own.values() for path in paths}
     others = {entry.kind: entry.path for entry in cache.entries() if entry.path not in known}
     assert others
@@ -282,6 +282,17 @@ def test_what_was_used_least_lately_goes(monkeypatch):
         monkeypatch.setenv("PALMFIELD_CACHE_MB", bad)
         with pytest.raises(PalmfieldError, match=f"PALMFIELD_CACHE_MB is '{bad}'"):
             cache.limit_bytes()
+
+
+def test_modes_outlast_newer_entries_for_a_month(monkeypatch):
+    monkeypatch.setenv("PALMFIELD_CACHE_MB", "0.03")
+    cache.kept("modes", [0], Maker(1000))
+    (modes,) = cache.entries()
+    for days, kept in ((29, True), (31, False)):
+        os.utime(modes.path, (time.time() - 86400 * days,) * 2)
+        for number in range(4):
+            cache.kept("thing", [days, number], Maker(1000))
+        assert (modes.path in [entry.path for entry in cache.entries()]) == kept
 
 
 def test_what_is_larger_than_the_limit_is_not_kept_and_said(monkeypatch):

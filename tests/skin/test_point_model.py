@@ -7,6 +7,7 @@ import pytest
 
 from palmfield import SceneError, cache
 from palmfield.skin import Sheet, Slab, Spot, Springs, preset
+from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.body import build
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
@@ -87,7 +88,7 @@ def in_model(small, f_Hz):
 
 
 @pytest.mark.parametrize(("base", "side"), [("bonded", "fixed"), ("bonded", "absorbing"), ("free_slip", "roller")])
-@pytest.mark.parametrize("f_Hz", [30.0, 100.0, 200.0])
+@pytest.mark.parametrize("f_Hz", [30.0, 100.0, 200.0, 400.0])  # the last is above HIGHEST_Hz
 def test_it_swings_as_the_whole_layer(base: str, side: str, f_Hz: float) -> None:
     system, _, force, probe = disc("palm", base=base, side=side)
     read = probe.toarray()[2]
@@ -137,6 +138,14 @@ def test_matrices_of_another_material_are_multiples_only_if_nothing_else_differs
         *((disc(palm, **held)[0], disc(other, **held)[0]) for held in ({"base": Springs(1e6, 1e6)},)),
     ):
         assert one.scaled_by(another) is None
+
+
+def test_a_sponge_is_more_than_a_material() -> None:
+    palm = preset("palm")
+    mesh = disc(palm)[0].mesh
+    sponge = np.ones(len(mesh.surface_triangles6))
+    one, another = (assemble(mesh, each, sponge_1_s=sponge) for each in (palm, scaled(palm, 0.6)))
+    assert one.scaled_by(another) is None
 
 
 def test_the_same_load_at_another_level_needs_no_factor(tmp_path, monkeypatch) -> None:

@@ -86,8 +86,9 @@ class SkinSystem:
         (one, *rest), (another, *others) = (tuple(dict.fromkeys(system.made_of[1])) for system in (self, other))
         mesh, theirs = self.mesh, other.mesh
         same = np.array_equal(mesh.nodes, theirs.nodes) and np.array_equal(mesh.elements, theirs.elements)
-        below, side, springs, *more = self.made_of[2:]
-        plain = not below.sheets and springs == Springs(0.0, 0.0) and side != "absorbing" and more == [0.0, None, None]
+        below, side, springs, shear_spring, _, sponge_1_s = self.made_of[2:]
+        plain = not below.sheets and springs == Springs(0.0, 0.0) and shear_spring == 0.0
+        plain = plain and side != "absorbing" and sponge_1_s is None and other.made_of[-1] is None
         bulk, shear = another.bulk_Pa / one.bulk_Pa, another.shear_relaxed_Pa / one.shear_relaxed_Pa
         fits = one.bulk_relaxes == another.bulk_relaxes and (not one.bulk_relaxes or math.isclose(bulk, shear))
         if rest or others or not (same and plain and fits and self.made_of[2:] == other.made_of[2:]):

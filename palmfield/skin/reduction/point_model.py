@@ -118,6 +118,7 @@ def point_model(
     if not size > 0.0 or not np.any(read):
         raise SceneError("a point model needs a force and a reading that are not 0")
     unit = np.round(force / size, DIGITS)
+    highest_Hz = max(highest_Hz, main_Hz)  # key max_frequency_Hz may be lower than the main frequency
     shares = BAND if main_Hz <= max(BAND) * highest_Hz else (*BAND, 1.0)
 
     def make() -> cache.Arrays:
