@@ -22,6 +22,11 @@ class MotionConfig(Config):
         None, description="preset of an articulated hand, whose joints move as well (default: rigid hand)"
     )
     keyframes: str | None = Field(None, description="TOML file of poses at times (docs/motion.md)")
+    interpolation: Literal["monotone", "smooth"] = Field(
+        "monotone",
+        description="keyframes: cubics, whose acceleration jumps at keys (monotone), or degree 5, with "
+        "acceleration 0 at keys (smooth)",
+    )
     trajectory: str | None = Field(None, description="CSV or NPZ file of wrist poses and joint angles over time")
     tracking: str | None = Field(None, description="CSV or NPZ file of a recorded OpenXR hand, which the hand follows")
     tracking_up: Literal["y", "z"] = Field("y", description="vertical axis of the space of the tracker; y for OpenXR")
@@ -47,6 +52,8 @@ class MotionConfig(Config):
             raise ValueError(
                 f"sources of the motion: {' and '.join(sources) or 'none'}; give exactly one of: {', '.join(SOURCES)}"
             )
+        if self.interpolation == "smooth" and self.keyframes is None:
+            raise ValueError("interpolation 'smooth' applies to keyframes only: remove it")
         if self.tracking is not None and self.hand is None:
             raise ValueError("tracking needs an articulated hand: name its preset by key hand")
         if self.follow == "exact" and self.hand is None:

@@ -169,6 +169,10 @@ class SkinConfig(Config):
         "stimulus and pose; auto: the fastest of these; spectral_elements: explicit, for a GPU; particles: a "
         "preview with a stated error",
     )
+    inertia: Literal["off", "on"] = Field(
+        "off",
+        description="on: recorded runs also have the motion of the layer by the acceleration of its bones (skin.md)",
+    )
     obstacles: Names = Field(
         (),
         description="body_sound shadows: further bodies that cast shadows, with their geoms and those of their child "
@@ -223,6 +227,10 @@ class SkinConfig(Config):
             raise ValueError(f"base '{self.base}' is tissue without end, but shape 'cylinder' has a bone: use bonded")
         self._check_sheets()
         self._check_receptors()
+        if self.inertia == "on" and self.solver == "particles":
+            raise ValueError("inertia 'on' adds two motions, but solver 'particles' is not linear: set another solver")
+        if self.inertia == "on" and self.base in ENDLESS:
+            raise ValueError(f"inertia 'on' needs bone below the layer, but base is '{self.base}': set base to bonded")
         if self.obstacles and self.body_sound != "shadows":
             raise ValueError(
                 f"obstacles need body_sound 'shadows', but body_sound is '{self.body_sound}': set it to shadows"

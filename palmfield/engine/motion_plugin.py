@@ -35,7 +35,7 @@ class MotionModule(Module):
         super().__init__(settings, world, instance)
         model = world.model
         names = {number: name for number, _, name in model.instances()}
-        element = self.config.element(names[instance])
+        element = self.element = self.config.element(names[instance])
         found = with_files_found(settings, element)
         with naming_keys(element, found):
             self.motion = motion_of(found, first_array_frame(model))

@@ -105,6 +105,11 @@ def _whole_summary(
         skins[name] = skin_numbers(
             sim, name, loudest, budgets[name], times, normal, arp_peaks, begun_s=begun_s, populations=populations
         )
+        driven = recorder.driven.get(sim.skins.index(name))
+        if driven is not None:
+            skins[name]["motion_reduction_error_relative"] = 0.0 if driven.model is None else driven.model.error
+            if budgets[name] != NONE:
+                skins[name]["motion_edge_error_relative"] = driven.edge_error()
     run = recorder.loudest, recorder.peak_drive
     stimuli = stimulus_numbers(sim, *run, recorder.turns)
     for name, numbers in stimuli.items():

@@ -6,14 +6,21 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.interpolate import BPoly, CubicHermiteSpline, PchipInterpolator, PPoly
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError, naming
 from palmfield.hand.articulated import ArticulatedHand, checked_angles
 from palmfield.hand.poses import named_pose
 from palmfield.motion.pose import HandPose, numbers, unit_quaternions
+from palmfield.motion.rates import FrameRates, HandRates
 from palmfield.types import Float
+
+STEEPEST = 1.25
+"""Largest slope of a smooth curve at a key, over that of the flatter line to its neighbours."""
+END = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 2.5, -1.5])
+SMOOTH = 1.0 - END(np.polynomial.Polynomial([1.0, -1.0])), np.polynomial.Polynomial([0, 0, 0, 10.0, -15.0, 6.0]), END
+"""Bernstein polynomials of the fifth order, summed from the end: mean of the first two, third, mean of the last two."""
 
 
 class Curve:
@@ -22,16 +29,25 @@ class Curve:
     Positions and angles are monotone cubics (Fritsch & Carlson 1980), so they stay between neighbouring keys.
     Orientation is the cubic of Kim, Kim & Shin (1995, A general construction scheme for unit quaternion curves), with
     the angular velocity at a key limited in the same way; between equal keys the hand rests.
-    span_s: first and last time [s]
+    span_s: first and last time [s]. smooth: whether the polynomials are of fifth degree, without acceleration at the
+    keys. The motion then has continuous accelerations (`rates`), and from rest to rest it is that of least jerk.
     """
 
     def __init__(
-        self, joints: Sequence[str], times_s: Float, positions: Float, quaternions: Float, angles_deg: Float, rest: bool
+        self,
+        joints: Sequence[str],
+        times_s: Float,
+        positions: Float,
+        quaternions: Float,
+        angles_deg: Float,
+        rest: bool,
+        smooth: bool = False,
     ) -> None:
         """All values must be checked. times_s: rising [s], shape (n,), n >= 2; positions: [m], shape (n, 3);
         quaternions: unit, w first, shape (n, 4); angles_deg: [deg], shape (n, joints).
 
         rest: whether to begin and end at rest; if not, with the speed between the first and last two poses
+        smooth: see Curve; only with `rest`
         """
         self.span_s = float(times_s[0]), float(times_s[-1])
         self._joints = list(joints)
@@ -39,24 +55,66 @@ class Curve:
         slopes = PchipInterpolator(times_s, values).derivative()(times_s)
         if rest:
             slopes[[0, -1]] = 0.0
-        self._coefficients = CubicHermiteSpline(times_s, values, slopes).c
+        self.smooth = smooth
+        if smooth:
+            steep = np.abs(np.diff(values, axis=0) / np.diff(times_s)[:, None])
+            # With these slopes the control points of an interval do not pass each other
+            most = STEEPEST * np.minimum(np.concatenate([steep[:1], steep]), np.concatenate([steep, steep[-1:]]))
+            slopes = np.clip(slopes, -most, most)
+            given = np.stack([values, slopes, np.zeros_like(values)], axis=1)
+            self._coefficients = PPoly.from_bernstein_basis(BPoly.from_derivatives(times_s, given)).c
+        else:
+            self._coefficients = CubicHermiteSpline(times_s, values, slopes).c
         keys = Rotation.from_quat(quaternions, scalar_first=True)
         self._knots, self._from = times_s.tolist(), quaternions.tolist()
-        self._turns = _turns(times_s, keys, rest).tolist()
+        self._turns = _turns(times_s, keys, rest, 0.4 if smooth else 1.0 / 3.0).tolist()
 
     def __call__(self, time_s: float) -> HandPose:
         """Return the pose at a time [s]."""
-        time = min(max(float(time_s), self.span_s[0]), self.span_s[1])
-        n = min(max(bisect_right(self._knots, time) - 1, 0), len(self._knots) - 2)
-        begin, end = self._knots[n], self._knots[n + 1]
-        cubic, square, linear, constant = self._coefficients[:, n]
-        x, s = time - begin, (time - begin) / (end - begin)
-        values = ((cubic * x + square) * x + linear) * x + constant
+        n, x, length = self._place(time_s)
+        s = x / length
+        values = _value(self._coefficients[:, n], x)
         # Bernstein polynomials of the third order, summed from the end.
         shares = 1.0 - (1.0 - s) ** 3, s * s * (3.0 - 2.0 * s), s**3
+        if self.smooth:
+            shares = SMOOTH[0](s), SMOOTH[1](s), SMOOTH[2](s)
         turned = _turned(self._from[n], shares, self._turns[n])
         angles = dict(zip(self._joints, values[3:].tolist(), strict=True))
         return HandPose(values[:3], np.array(turned), angles)
+
+    def _place(self, time_s: float) -> tuple[int, float, float]:
+        """Return the interval of a time [s], the time since its beginning [s], and its length [s]."""
+        time = min(max(float(time_s), self.span_s[0]), self.span_s[1])
+        n = min(max(bisect_right(self._knots, time) - 1, 0), len(self._knots) - 2)
+        return n, time - self._knots[n], self._knots[n + 1] - self._knots[n]
+
+    def rates(self, time_s: float) -> HandRates:
+        """Return the analytic derivatives of a smooth curve at a time [s]; 0 outside the span."""
+        pose, (n, x, length) = self(time_s), self._place(time_s)
+        if not self.span_s[0] < time_s < self.span_s[1]:
+            return HandRates(FrameRates.at_rest(), pose.angles_deg, {}, {})
+        first = _derivative(self._coefficients[:, n])
+        speeds, accelerations = _value(first, x), _value(_derivative(first), x)
+        frame = FrameRates.at_rest()
+        for share, turn in zip(SMOOTH, np.array(self._turns[n]), strict=True):
+            angles = [float(of(x / length)) for of in (share, share.deriv(1) / length, share.deriv(2) / length**2)]
+            frame = frame.hinge(turn, angles, np.zeros(3))
+        into = Rotation.from_quat(pose.quaternion, scalar_first=True).inv()
+        joints = [dict(zip(self._joints, values[3:].tolist(), strict=True)) for values in (speeds, accelerations)]
+        return HandRates(frame._replace(acceleration=into.apply(accelerations[:3])), pose.angles_deg, *joints)
+
+
+def _value(coefficients: Float, x: float) -> Float:
+    """Return the values of polynomials, coefficients of the highest power first, shape (k, m); shape (m,)."""
+    values, *others = coefficients
+    for coefficient in others:
+        values = values * x + coefficient
+    return np.asarray(values)
+
+
+def _derivative(coefficients: Float) -> Float:
+    """Return the coefficients of the derivatives of such polynomials, shape (k - 1, m)."""
+    return coefficients[:-1] * np.arange(len(coefficients) - 1, 0, -1)[:, None]
 
 
 def _turned(
@@ -78,8 +136,11 @@ def _turned(
     return w, x, y, z
 
 
-def _turns(times: Float, keys: Rotation, rest: bool) -> Float:
-    """Return the three rotation vectors of each interval of the curve [rad], shape (n - 1, 3, 3)."""
+def _turns(times: Float, keys: Rotation, rest: bool, share: float) -> Float:
+    """Return the three rotation vectors of each interval of the curve [rad], shape (n - 1, 3, 3).
+
+    share: part of an interval for which the first and the last continue at the speed of their key
+    """
     steps = np.diff(times)[:, None]
     speeds = (keys[:-1].inv() * keys[1:]).as_rotvec() / steps
     at_keys = np.zeros((len(times), 3))
@@ -92,7 +153,7 @@ def _turns(times: Float, keys: Rotation, rest: bool) -> Float:
     at_keys[1:-1] = np.where(onward, (weight_before * fast * before + weight_after * slow * after) / divisor, 0.0)
     if not rest:
         at_keys[[0, -1]] = speeds[[0, -1]]
-    leaving, arriving = steps * at_keys[:-1] / 3.0, steps * at_keys[1:] / 3.0
+    leaving, arriving = share * steps * at_keys[:-1], share * steps * at_keys[1:]
     middle = Rotation.from_rotvec(-leaving) * keys[:-1].inv() * keys[1:] * Rotation.from_rotvec(-arriving)
     return np.stack([leaving, middle.as_rotvec(), arriving], axis=1)
 
@@ -103,8 +164,9 @@ def keyframes(
     positions: ArrayLike,
     quaternions: ArrayLike,
     poses: Sequence[Mapping[str, float] | str],
+    smooth: bool = False,
 ) -> Curve:
-    """Return a motion through keys that starts and ends at rest.
+    """Return a motion through keys that starts and ends at rest; smooth: see `Curve`.
 
     times_s: rising [s], two or more, shape (n,)
     positions: positions of the hand frame [m], shape (n, 3); quaternions: orientations, w first, any length, shape (n,
@@ -123,7 +185,7 @@ def keyframes(
             angles.append(checked_angles(hand, named_pose(hand, pose) if isinstance(pose, str) else pose))
     places = numbers(positions, (n, 3), "hand keyframes: positions")
     turns = unit_quaternions(quaternions, (n, 4), "hand keyframes: quaternions")
-    return Curve([joint.name for joint in hand.joints], times, places, turns, np.array(angles), rest=True)
+    return Curve([joint.name for joint in hand.joints], times, places, turns, np.array(angles), True, smooth)
 
 
 def rising(times_s: ArrayLike, what: str) -> Float:

@@ -17,9 +17,10 @@ from palmfield.hand.poses import named_pose, posed_surface
 from palmfield.hand.preset import HandPreset, load_preset
 from palmfield.hand.skinning import SkinnedHand
 from palmfield.motion.alignment import read_alignment
-from palmfield.motion.keyframes import keyframes
+from palmfield.motion.keyframes import Curve, keyframes
 from palmfield.motion.pose import HandPose, numbers
 from palmfield.motion.prediction import resample
+from palmfield.motion.rates import RateCourse
 from palmfield.motion.retarget import retarget
 from palmfield.motion.tracking import Stream, read_stream
 from palmfield.motion.trajectory import from_callable, read_trajectory
@@ -33,10 +34,14 @@ DEFAULT_HAND = "open_men_p50"
 
 @dataclass(frozen=True)
 class HandMotion:
-    """Motion of a hand. hand: articulated hand, None for a rigid hand; at: function from scene time [s] to pose"""
+    """Motion of a hand. hand: articulated hand, None for a rigid hand; at: function from scene time [s] to pose
+
+    rates: function from scene time [s] to its derivatives; None if the accelerations may jump
+    """
 
     hand: ArticulatedHand | None
     at: Callable[[float], HandPose]
+    rates: RateCourse | None = None
 
 
 def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
@@ -47,7 +52,7 @@ def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
     hand = None if config.hand is None else articulate(load_preset(config.hand))
     joints = hand or articulate(load_preset(DEFAULT_HAND))
     if config.keyframes is not None:
-        source: Any = read_keyframes(Path(config.keyframes), joints, config.hand)
+        source: Any = read_keyframes(Path(config.keyframes), joints, config.hand, config.interpolation == "smooth")
     elif config.trajectory is not None:
         source = read_trajectory(config.trajectory, joints)
     elif config.tracking is not None:
@@ -55,9 +60,12 @@ def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
     else:
         assert config.function is not None
         source = from_callable(config.function, joints)
-    start = config.start_s
-    at = source if start == 0.0 else lambda t: source(t - start)
-    return HandMotion(hand, at)
+    start, rates = config.start_s, getattr(source, "rates", None)
+    if isinstance(source, Curve) and not source.smooth:
+        rates = None
+    if start == 0.0:
+        return HandMotion(hand, source, rates)
+    return HandMotion(hand, lambda t: source(t - start), rates and (lambda t: rates(t - start)))
 
 
 def tracker_frame(
@@ -93,12 +101,12 @@ def _tracked(config: MotionConfig, array: Transform) -> Stream:
     return resample(stream, clock[:-1], ahead_s=config.ahead_s).stream
 
 
-def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Callable[[float], HandPose]:
+def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None, smooth: bool = False) -> Curve:
     """Read a TOML file of [[key]] tables: time_s, position_m, and optional quaternion (w, x, y, z) or turn_deg
     (rotation vector), pose (by name) and joints_deg (angles that differ from it).
 
     preset: name of an articulated hand, whose skin must not intersect itself at any key; None for a rigid hand
-    Raises SceneError with the number of the key and the field.
+    smooth: see `Curve`. Raises SceneError with the number of the key and the field.
     """
     with reading(f"keyframes {path}", SceneError, "a TOML file of tables [[key]]"):
         keys = read_toml(path).get("key", [])
@@ -129,7 +137,8 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
         poses.append(_angles(key, hand, where))
     if preset is not None:
         _check_skin(path, preset, poses)
-    return keyframes(hand, [key["time_s"] for key in keys], [key["position_m"] for key in keys], np.array(turns), poses)
+    times, places = [key["time_s"] for key in keys], [key["position_m"] for key in keys]
+    return keyframes(hand, times, places, np.array(turns), poses, smooth)
 
 
 def _turn(key: Mapping[str, Any], where: str) -> list[float]:

@@ -13,6 +13,7 @@ from palmfield.hand.articulated import ArticulatedHand
 from palmfield.motion.joints import FARTHEST_M
 from palmfield.motion.keyframes import Curve, rising
 from palmfield.motion.pose import HandPose, checked_pose
+from palmfield.motion.rates import RateCourse
 from palmfield.tables import pop_columns, read_table, write_table
 from palmfield.types import Float
 
@@ -122,10 +123,14 @@ def write_trajectory(path: str | Path, hand: ArticulatedHand, times: ArrayLike, 
 
 
 class Scripted:
-    """A motion by a function whose results are checked. span_s: that of the function, or from -inf to inf."""
+    """A motion by a function whose results are checked. span_s: that of the function, or from -inf to inf.
+
+    rates: attribute of the function with its derivatives (`palmfield.motion.rates.HandRates`) by time [s], or None
+    """
 
     def __init__(self, function: Callable[[float], HandPose], name: str, hand: ArticulatedHand | None) -> None:
         self.span_s: tuple[float, float] = getattr(function, "span_s", (-math.inf, math.inf))
+        self.rates: RateCourse | None = getattr(function, "rates", None)
         self._function = function
         self._name = name
         self._hand = hand

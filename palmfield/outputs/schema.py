@@ -114,6 +114,11 @@ GROUPS: dict[str, dict[str, Variable]] = {
             ("time", "vertex", "xyz"), "float32", "m s-1", "velocity, of the displacement", _BODY,
             "as for displacement",
         ),
+        "motion_displacement": Variable(
+            ("step_time", "vertex", "xyz"), "float32", "m",
+            "displacement by the motion of the body, from its acceleration alone; not part of displacement", _BODY,
+            "as for displacement",
+        ),
         "arp": Variable(
             ("time", "vertex"), "float32", "Pa", "radiation pressure (ARP), acoustic, on the skin patch", sign=_INTO
         ),
@@ -270,7 +275,8 @@ GROUPS: dict[str, dict[str, Variable]] = {
 }  # fmt: skip
 """Variables by kind of group. Empty variables of /mujoco are omitted.
 
-Variables along `bone` and `influence` exist only for bodies with bones, and obstacles only if there are any. An
+Variables along `bone` and `influence` exist only for bodies with bones, and obstacles only if there are any, and
+motion_displacement only with key inertia. An
 interrupted run lacks the variables of the loudest moment."""
 LABELS: dict[str, tuple[tuple[str, ...], str]] = {
     "xyz": (("x", "y", "z"), "Cartesian component"),

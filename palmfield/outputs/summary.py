@@ -74,7 +74,9 @@ def skin_numbers(skin: xr.Dataset, surface: xr.Dataset | None, forces: xr.Datase
     the surface of its body or on the skin at the loudest moment; peak_pressure_dB_SPL is its rms level over 20 µPa,
     None in silence. Displacement and velocity are those along the outward normal; rms_displacement_m (and
     ..._without_dc_m) are over time at the vertex of largest motion; displacement_per_arp_m_Pa is the ratio of the
-    maxima of displacement and ARP, independent of the sound level. total_force_mean_N is the mean vector in the world.
+    maxima of displacement and ARP, independent of the sound level. The numbers motion_... are of the
+    length of the displacement driven by the body, which no other number contains. total_force_mean_N is the mean vector
+    in the world.
     """
     out: dict[str, Any] = {"vertices": int(skin.sizes.get("vertex", 0))}
     meshes = [mesh for mesh in (surface, skin) if mesh is not None]
@@ -102,6 +104,14 @@ def skin_numbers(skin: xr.Dataset, surface: xr.Dataset | None, forces: xr.Datase
         out["peak_displacement_vertex"] = vertex
         out["rms_displacement_m"] = math.sqrt(square)
         out["rms_displacement_without_dc_m"] = math.sqrt(max(0.0, square - mean**2))
+    if has_records(skin, "motion_displacement"):
+        # Small: one moment for each MuJoCo step
+        moved = np.linalg.norm(skin["motion_displacement"].values, axis=2)
+        vertex = int(moved.max(axis=0).argmax())
+        out["motion_peak_displacement_m"] = float(moved[:, vertex].max())
+        out["motion_rms_displacement_m"] = float(np.sqrt(np.mean(moved[:, vertex] ** 2)))
+        along = np.einsum("tvx,vx->tv", skin["motion_displacement"].values, skin["rest_normal"].values)
+        out["motion_peak_normal_displacement_m"] = float(np.abs(along).max())
     if has_records(skin, "velocity"):
         out["peak_velocity_m_s"] = float(extremes(skin, "velocity").peak.max())
     return out

@@ -74,7 +74,19 @@ def _short(skin: Mapping[str, Any]) -> list[TextRow]:
         budget = skin.get("error_budget")
         omitted, kind = largest_omitted(budget), f" ({budget['estimate']} estimate)" if budget else ""
         rows.append(("error", f"numerical {figures(100 * error, 1.0)} %{kind}{reached}{omitted}"))
-    return rows + _no_estimate(skin)
+    return rows + _no_estimate(skin) + _driven(skin)
+
+
+def _driven(skin: Mapping[str, Any]) -> list[TextRow]:
+    """Return the row of the motion driven by the body, if key inertia is on."""
+    if "motion_peak_displacement_m" not in skin:
+        return []
+    peak, rms, normal = (1e6 * skin[f"motion_{kind}displacement_m"] for kind in ("peak_", "rms_", "peak_normal_"))
+    text = f"peak {peak:.3g} um, rms {rms:.3g} um, normal peak {normal:.3g} um; not in the other rows"
+    if (edge := skin.get("motion_edge_error_relative")) is not None:
+        numerical = math.hypot(edge, skin["motion_reduction_error_relative"])
+        text += f"; cut sides and reduction {figures(100 * numerical, 1.0)} %, mesh not estimated"
+    return [("by the body's acceleration", text)]
 
 
 def _no_estimate(skin: Mapping[str, Any]) -> list[TextRow]:
@@ -174,7 +186,7 @@ def _motion(skin: Mapping[str, Any]) -> list[TextRow]:
         if skin.get("accuracy_reached") is False:
             requested = skin["accuracy_wanted_relative"]
             rows.append(("accuracy", f"NOT reached: target {100 * requested:g} %; {advice(skin)}"))
-    return rows + _no_estimate(skin) + _levels(skin)
+    return rows + _no_estimate(skin) + _driven(skin) + _levels(skin)
 
 
 def _levels(skin: Mapping[str, Any]) -> list[TextRow]:

@@ -83,7 +83,10 @@ def modelled(model: HapticModel, duration_s: float, feedback: str) -> list[Row]:
             + ("one at a time: control_rate_Hz holds foci" if holds else "for many steps together"),
         )
     )
-    return rows + [_solver(skin, model.still_m[skin.body]) for skin in model.skins]
+    rows += [_solver(skin, model.still_m[skin.body]) for skin in model.skins]
+    about = "by a reduced model; in no sensor, level or error; without gravity, Coriolis load and error of the mesh"
+    driven = [skin.spec.name for skin in model.skins if skin.spec.config.inertia == "on"]
+    return rows + [Row("acceleration of the body", "from its script, recorded runs", about, name) for name in driven]
 
 
 def _modulation(stimulus: StimulusModel, level: float) -> list[Row]:

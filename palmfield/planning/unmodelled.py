@@ -31,10 +31,10 @@ def other_effects(model: HapticModel) -> list[Row]:
     rows = []
     for skin in model.skins:
         name = skin.spec.name
-        if skin.spec.moves or skin.carrier.hand is not None:
+        if skin.spec.config.inertia == "off" and (skin.spec.moves or skin.carrier.hand is not None):
             why = (
                 "not modelled: displacements are relative to the moving frame, and the inertial load changes as slowly "
-                "as the motion"
+                "as the motion; key inertia computes it for smooth scripts"
             )
             rows.append(Row("acceleration of the body", _inertia(skin), why, name))
         if skin.carrier.hand is not None:

@@ -229,14 +229,20 @@ def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
 
 
 def _check_sensor_places(data: mujoco.MjData, name: str, text: SceneText | None) -> None:
-    """Raise SceneError, with file and line, for sensors that are not on their skin; name, text: name and text of the
-    scene.
+    """Raise SceneError, with file and line, for sensors that are not on their skin, and for bones whose acceleration
+    key inertia cannot use; name, text: name and text of the scene.
     """
     world = world_of(data)
     if world is None or world.scene is None:
         return
     try:
         world.scene.check_sensors()
+        driven = [number for number, skin in enumerate(world.scene.model.skins) if skin.spec.config.inertia == "on"]
+        if driven:
+            from palmfield.engine.inertia import bone_accelerations
+
+            for number in driven:
+                bone_accelerations(world, number)
     except SceneError as error:
         error.about = (_place(str(error), name, text), *error.about)
         raise

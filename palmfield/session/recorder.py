@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -30,6 +30,9 @@ from palmfield.stimulus.schedule import frames_at
 from palmfield.threads import cores, share
 from palmfield.transforms import quaternion
 from palmfield.types import Array, Complex, Float, Float32, Int
+
+if TYPE_CHECKING:  # few scenes have key inertia on
+    from palmfield.session.motion_driven import MotionDriven
 
 Block = dict[str, dict[str, NDArray[Any]]]
 
@@ -114,6 +117,7 @@ class Recorder:
     peak_drive: largest commanded amplitude of each transducer so far, relative to full drive, shape (N,)
     begun_s: MuJoCo time at the start [s]
     turns: for each stimulus, the times at which the phases between its foci jumped
+    driven: motion driven by the bones of each skin with key inertia on, by its number
     """
 
     def __init__(
@@ -136,6 +140,7 @@ class Recorder:
         self._waiting: list[Recorded] = []
         self._written_at = time.monotonic()
         self.begun_s = 0.0
+        self.driven: dict[int, MotionDriven] = {}
         self._sensors = [
             (sensor.name, sensor.data) for skin in runtime.binding.skins for sensor in world.sensors(skin.instance)
         ]
@@ -144,6 +149,11 @@ class Recorder:
         """Record the state before the first step, and begin to observe steps."""
         work, posed = self.runtime.work, self.runtime.posed
         now_s = self.begun_s = self.world.time
+        for number, skin in enumerate(self.model.skins):
+            if skin.spec.config.inertia == "on":
+                from palmfield.session.motion_driven import MotionDriven
+
+                self.driven[number] = MotionDriven(self.world, number)
         work.observe = tuple(skin.recorded for skin in self.model.skins)
         motions = []
         for number, (stepper, numbers) in enumerate(self.runtime.skin_states()):
@@ -235,8 +245,10 @@ class Recorder:
 
     def _add_steps(self, block: Block, steps: Sequence[Recorded]) -> None:
         """Add the data along `step_time` of steps in one pose."""
-        posed, count = steps[0].posed, len(steps)
-        block["/"]["step_time"] = np.array([one.start_s for one in steps]) - self.begun_s
+        posed, count, starts = steps[0].posed, len(steps), np.array([one.start_s for one in steps])
+        block["/"]["step_time"] = starts - self.begun_s
+        for number, part in self.driven.items():
+            block[group("skin", self.model.skins[number].spec.name)]["motion_displacement"] = part.at(starts)
         frame = posed.array_frame
         for array, placement in zip(self.model.spec.arrays, posed.arrays.placements, strict=True):
             own = placement.transform

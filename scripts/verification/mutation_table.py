@@ -488,8 +488,8 @@ MUTATIONS = (
         "tangents of the turn a third too long",
         "motion interpolation",
         "palmfield/motion/keyframes.py",
-        "steps * at_keys[:-1] / 3.0, steps * at_keys[1:] / 3.0",
-        "steps * at_keys[:-1] / 2.0, steps * at_keys[1:] / 3.0",
+        "share * steps * at_keys[:-1], share * steps",
+        "1.5 * share * steps * at_keys[:-1], share * steps",
         "tests/motion/test_keyframes.py::test_turn_about_one_axis_is_the_monotone_cubic_of_its_angle",
     ),
     Mutation(

@@ -48,7 +48,7 @@ def test_a_result_has_every_group_and_variable(result):
         found = instances(result, kind)
         assert found, kind
         names = {str(name) for ds in found.values() for name in ds.variables}
-        assert set(variables) - names <= {"obstacle_position", "obstacle_face"}
+        assert set(variables) - names <= {"obstacle_position", "obstacle_face", "motion_displacement"}
         for ds in found.values():
             for name in variables.keys() & set(ds.variables):
                 assert ds[name].dims == variables[name].dims

@@ -34,12 +34,13 @@ MOST_STEPS = 64
 class Reduced:
     """Reduced model: computes y and y' from forces f.
 
-    order: number r of basis vectors; error: estimated relative error of y; it is not a bound
+    small: the body in the basis; order: number r of basis vectors
+    error: estimated relative error of y; it is not a bound
     A state is a flat array of `state_size` floats; at rest all are 0.
     """
 
     def __init__(self, small: Projection, error: float) -> None:
-        self.error = error
+        self.small, self.error = small, error
         self.rates, self.inputs, self.displaces, self.moves, self.internals = _energy_form(small)
         self.order = len(small.force)
         self._steps: dict[float, tuple[Float, Float, Float]] = {}
