@@ -1,12 +1,12 @@
 """Is the estimated error of the velocity true? Random cases of ten kinds, answers of `auto`, and other solvers' truths.
 
-    python scripts/verification/coverage_velocity.py run --seed 1 --count 60 [--limit 60]
-    python scripts/verification/coverage_velocity.py report --count 60 [--out docs/bench/skin_velocity.md]
+    python scripts/verification/coverage_velocity.py run --seed 1 --count 60 [--limit 60] [--traction]
+    python scripts/verification/coverage_velocity.py report [--out docs/bench/skin_velocity.md]
 
 `run` draws the cases, gives each to `auto` and asks another solver for the velocity at a tenth of the accuracy, on one
-core and within the limit of processor time for each. It appends a line per case to docs/bench/coverage/velocity.jsonl
-and goes on where it ended; a case's line names the commit that answered it. Set OMP_NUM_THREADS=1,
-OPENBLAS_NUM_THREADS=1 and PALMFIELD_CACHE=off.
+core and within the limit of processor time for each. With --traction the load is a Traction at points of the face. It
+appends a line per case to docs/bench/coverage/velocity.jsonl and goes on where it ended; a case's line names the commit
+that answered it. Set OMP_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1 and PALMFIELD_CACHE=off.
 """
 
 import argparse
@@ -18,12 +18,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coverage_draw import Case, between, crossing_s, draw_layer, draw_material, pick, problem_of
+from coverage_draw import Case, Problem, between, crossing_s, draw_layer, draw_material, pick, problem_of
 from coverage_judge import SAME_MESH, TRUTHS, TooLongError, at_most, relative_error, solver_of
 from coverage_report import CONVERGED, band
 from coverage_store import FOLDER, ROOT, rounded
 
 from palmfield.errors import SceneError
+from palmfield.skin.fem import face_points
+from palmfield.skin.problem import GAUSSIAN, Layer, Traction
+from palmfield.skin.problem import between as interpolated
 from palmfield.skin.solver_choice import solve
 
 KINDS = (
@@ -34,6 +37,10 @@ KINDS = (
 FINER, SHARE, LEAST_TRUTH = 0.1, 0.15, 3e-4
 """Accuracy of a truth: a share of the case's own, and of the error that the answer states; it is no finer than that."""
 ASKED_TIMES = 40
+FIRST_TRACTION = 1000
+"""Number of the first case whose load is a Traction."""
+SPACING, KNOTS = 0.1, 13
+"""Distance of the points of a Traction on a slab, in widths of the spot; its times while a spot moves."""
 
 
 def draw_case(seed: int, number: int) -> Case:
@@ -108,11 +115,35 @@ def draw_case(seed: int, number: int) -> Case:
     }  # fmt: skip
 
 
-def judged(case: Case, limit_s: float) -> dict[str, Any]:
-    """One line: what `auto` states of the velocity, and its error against the surest truth found."""
+def as_traction(problem: Problem) -> Traction:
+    """The spot of a case as pressures at points of the face: on a grid of squares, or on a layer's own triangles."""
+    body, load = problem.body, problem.load
+    if isinstance(body, Layer):
+        points, areas = face_points(body.patch, 2)
+    else:
+        half = np.full(2, body.radius_m) if body.size_m is None else 0.5 * np.array(body.size_m)
+        counts = np.ceil(2.0 * half / (SPACING * load.fwhm_m)).astype(int)
+        x, y = (h * ((2.0 * np.arange(n) + 1.0) / n - 1.0) for h, n in zip(half, counts, strict=True))
+        grid = [axis.ravel() for axis in np.meshgrid(x, y, indexing="ij")]
+        points = np.column_stack([*grid, np.zeros(counts.prod())])
+        areas = np.full(len(points), np.prod(2.0 * half / counts))
+    times = load.times_s
+    if np.ptp(load.centres(), axis=0).any():
+        times = np.union1d(times, np.linspace(times[0], times[-1], KNOTS))
+    centres, peaks = (interpolated(load, values, times) for values in (load.centres(), load.peak_Pa))
+    away = ((points[None, :, :2] - centres[:, None]) ** 2).sum(axis=2)
+    return Traction(points, areas, times, peaks[:, None] * np.exp(-GAUSSIAN * away / load.fwhm_m**2), load.law)
+
+
+def judged(case: Case, limit_s: float, traction: bool = False) -> dict[str, Any]:
+    """One line: what `auto` states of the velocity, and its error against the surest truth found.
+
+    displacement_estimate, _true, _truth_error: the same numbers of the displacement, by the same truth.
+    """
     problem, row = problem_of(case), {"key": case["key"], "kind": case["kind"], "accuracy_of": case["accuracy_of"]}
-    row["accuracy"] = case["accuracy"]
-    arguments = (problem.body, problem.load, problem.times, problem.at)
+    row |= {"accuracy": case["accuracy"], "load": "traction" if traction else "spot"}
+    load = as_traction(problem) if traction else problem.load
+    arguments = (problem.body, load, problem.times, problem.at)
     begin = time.process_time()
     try:
         with at_most(limit_s):
@@ -120,7 +151,7 @@ def judged(case: Case, limit_s: float) -> dict[str, Any]:
     except (SceneError, TooLongError, MemoryError) as error:
         return row | {"missing": str(error)}
     row |= {"seconds": time.process_time() - begin, "estimate": found.velocity_error, "solver": found.solver}
-    row["source"] = found.error_source
+    row |= {"source": found.error_source, "displacement_estimate": found.displacement_error}
     own = solver_of(row)
     others = [name for name in (*TRUTHS[case["body"]["shape"]], "wedges") if name not in (own, SAME_MESH.get(own))]
     finest = max(LEAST_TRUTH, min(FINER * case["accuracy"], SHARE * found.velocity_error))
@@ -138,6 +169,8 @@ def judged(case: Case, limit_s: float) -> dict[str, Any]:
         if truth.velocity_error < best:
             best = truth.velocity_error
             row |= {"by": name, "true": relative_error(found.velocity_m_s, truth.velocity_m_s), "truth_error": best}
+            row["displacement_true"] = relative_error(found.displacement_m, truth.displacement_m)
+            row["displacement_truth_error"] = truth.displacement_error
         if best <= CONVERGED * max(row["true"], row["estimate"]):
             break
     return row
@@ -152,9 +185,14 @@ def _own(row: dict[str, Any]) -> bool:
     return bool(row["by"] == solver_of(row))
 
 
-def report(rows: list[dict[str, Any]], out: Path, count: int) -> None:
-    """Write the page of all lines; count: of the cases that were drawn from each seed."""
-    drawn = count * len({row["key"].partition("-")[0] for row in rows})
+def of_displacement(row: dict[str, Any]) -> dict[str, Any]:
+    """A line with the numbers of the displacement in place of those of the velocity."""
+    names = [name for name in ("estimate", "true", "truth_error") if f"displacement_{name}" in row]
+    return row | {name: row[f"displacement_{name}"] for name in names}
+
+
+def report(rows: list[dict[str, Any]], out: Path) -> None:
+    """Write the page of all lines."""
 
     def cells(some: list[dict[str, Any]]) -> str:
         sure = [row for row in some if counted(row)]
@@ -163,27 +201,35 @@ def report(rows: list[dict[str, Any]], out: Path, count: int) -> None:
         ratio = f"{np.median([row['estimate'] / row['true'] for row in sure]):.2g}" if sure else "-"
         return f"{len(some)} | {len(sure)} | {band(covered, len(sure))} | {half} | {ratio}"
 
+    spots, tractions = ([row for row in rows if row["load"] == load] for load in ("spot", "traction"))
+    groups = {
+        "velocity": spots,
+        "velocity, reference by another solver": [row for row in spots if "by" in row and not _own(row)],
+        "velocity, reference by the same solver, finer": [row for row in spots if "by" in row and _own(row)],
+        "displacement of the same cases": [of_displacement(row) for row in spots],
+        "velocity under a `Traction`": tractions,
+        "displacement under a `Traction`": [of_displacement(row) for row in tractions],
+    }
     lines = [
         "# Is the estimated error of the velocity true?",
         "",
         "`python scripts/verification/coverage_velocity.py run` solves the "
         "cases, and `report` writes the page. [velocity.jsonl](coverage/velocity.jsonl) has one line per case. Code: "
         + ", ".join(sorted({row["commit"] for row in rows}))
-        + f". Seeds: {', '.join(sorted({row['key'].partition('-')[0] for row in rows}))}.",
+        + f". Seed: {', '.join(sorted({row['key'].partition('-')[0] for row in rows}))}.",
         "",
-        "Bodies, materials and loads are random, of ten kinds. Half of the cases have a target accuracy of the "
-        "velocity, half of the displacement. True error and judged cases are defined as for "
-        "[displacements](skin_coverage.md). "
-        f"The reference is another solver at {FINER:g} of the accuracy or {SHARE:g} of the estimate, or else a "
-        "finer solution of the same solver. All materials except those with short branches "
-        f"have a dashpot; without it no reference can be computed in a minute. {drawn - len(rows)} of {drawn} cases "
-        "had no result at the end. Intervals are 95 % intervals.",
+        "Bodies, materials and loads are random, of ten kinds. Half of the cases have a target accuracy for the "
+        "velocity, and half for the displacement. A `Traction` has its pressures at points of the face. The true error "
+        "is the relative L2 error over the times, at the worst point. The reference is another solver with "
+        f"{FINER:g} of the target accuracy, or with {SHARE:g} of the estimate, else a finer solution of the same "
+        f"solver. A case is judged only if the error of its reference is at most {CONVERGED:g} of the estimate or of "
+        "the true error, whichever is larger. All materials except those with short branches have a dashpot, without "
+        f"which no reference can be computed in a minute. {sum('missing' in row for row in rows)} cases had no result. "
+        "Intervals are 95 % intervals.",
         "",
-        "| kind | cases | judged | estimate >= true | below half | median estimate / true |",
+        "| quantity | cases | judged | estimate >= true | below half | median estimate / true |",
         "|---|---|---|---|---|---|",
-        f"| all | {cells(rows)} |",
-        f"| reference by another solver | {cells([row for row in rows if 'by' in row and not _own(row)])} |",
-        f"| reference by the same solver, finer | {cells([row for row in rows if 'by' in row and _own(row)])} |",
+        *(f"| {name} | {cells(some)} |" for name, some in groups.items()),
         "",
         "Cases with an estimate below the true error:",
         "",
@@ -191,13 +237,14 @@ def report(rows: list[dict[str, Any]], out: Path, count: int) -> None:
         "| solver |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    for row in (row for row in rows if counted(row) and row["estimate"] < row["true"]):
+    views = [("", row) for row in rows] + [(", displacement", of_displacement(row)) for row in rows]
+    for quantity, row in ((name, row) for name, row in views if counted(row) and row["estimate"] < row["true"]):
         numbers = [f"{100 * row[key]:.2g}" if key in row else "-" for key in ("accuracy", "estimate", "true")]
         own = "own " if "by" in row and _own(row) else ""
         by = f"{own}{row['by']}, {100 * row['truth_error']:.2g}" if "by" in row else "none"
         words = row.get("solver", row.get("missing", "")).split("(")[0].replace("|", "/").strip()[:80]
         lines.append(
-            f"| {row['key']} | {row['kind']} | {row['accuracy_of']} | {' | '.join(numbers)} | {by} "
+            f"| {row['key']}{quantity} | {row['kind']} | {row['accuracy_of']} | {' | '.join(numbers)} | {by} "
             f"| {row.get('seconds', math.nan):.2g} | {words} |"
         )
     out.write_text("\n".join(lines) + "\n")
@@ -209,26 +256,29 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--limit", type=float, default=60.0, help="longest answer [s]")
+    parser.add_argument("--traction", action="store_true", help="loads are a Traction instead of a spot")
     parser.add_argument("--kept", type=Path, default=FOLDER / "velocity.jsonl", help="one line per case")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skin_velocity.md")
     settings = parser.parse_args()
     kept = settings.kept
     rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
     if settings.step == "report":
-        report(rows, settings.out, settings.count)
+        report(rows, settings.out)
         return
     commit = subprocess.run(
         ["git", "-C", str(ROOT), "describe", "--always", "--dirty"], capture_output=True, text=True, check=True
     ).stdout.strip()
     done = {row["key"] for row in rows}
-    for number in range(settings.count):
+    first = FIRST_TRACTION if settings.traction else 0
+    for number in range(first, first + settings.count):
         case = draw_case(settings.seed, number)
         if case["key"] in done:
             continue
-        row = judged(case, settings.limit) | {"commit": commit}
+        row = judged(case, settings.limit, settings.traction) | {"commit": commit}
         with kept.open("a") as file:
             file.write(json.dumps(rounded(row)) + "\n")
-        print(number, row["kind"], *(f"{k} {row[k]:.3g}" for k in ("estimate", "true", "truth_error") if k in row))
+        numbers = (f"{k} {row[k]:.3g}" for k in ("estimate", "true", "truth_error") if k in row)
+        print(number, row["kind"], *numbers, flush=True)
 
 
 if __name__ == "__main__":
