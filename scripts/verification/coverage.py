@@ -22,6 +22,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from coverage_coupled import section
 from coverage_draw import Case, draw
 from coverage_judge import answers, truths
 from coverage_report import verdicts, write_report
@@ -97,7 +98,8 @@ def main() -> None:
         go_on(asked, known, lambda case: truths(case, answered[case["key"]], settings.limit))
     else:
         drawn = {"seed": head["seed"], "cases": cases}
-        write_report(drawn, all_known, rows_of(given), settings.out, head["frozen"])
+        coupled = section(folder / "coupled", settings.out)
+        write_report(drawn, all_known, rows_of(given), settings.out, head["frozen"], coupled)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from coverage_draw import between, pick
+from coverage_report import CONVERGED
 from coverage_scenes import PRESETS, SCENES
 from coverage_store import CODE, FOLDER, begin, known_head, rounded
 
@@ -27,6 +28,7 @@ import palmfield
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.richardson import error_of_finer
 from palmfield.skin.scene_layer import LayerSizes
+from palmfield.studies.bench.table import keep_rows
 from palmfield.types import Float
 
 REFINED = {"small": (3.0, 1.8), "default": (2.5, 1.6)}
@@ -190,6 +192,50 @@ def judged(case: dict[str, Any]) -> dict[str, Any]:
 
 def _off(found: Float, exact: Float) -> float:
     return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+
+
+def section(folder: Path, out: Path) -> list[str]:
+    """Lines of the page for the scenes of a folder; their rows go to the page's folder of data. None without a run."""
+    if not (folder / "rows.jsonl").exists():
+        return []
+    head = json.loads((folder / "head.json").read_text())
+    rows = [json.loads(line) for line in (folder / "rows.jsonl").read_text().splitlines()]
+    judged = [row for row in rows if "refused" not in row]
+    names = ("unknowns", "stated", *(f"{part}_{name}" for name in CHANNELS for part in ("true", "reference")))
+    names += tuple(f"true_{name}_first" for name in CHANNELS)
+    table = [f"| kind | scene | solver | {' | '.join(names)} |", "|" + "---|" * (3 + len(names))]
+    for row in judged:
+        numbers = " | ".join(f"{row[name]:.3g}" if name != "unknowns" else str(row[name]) for name in names)
+        table.append(f"| {row['kind']} | {row['scene']} | {row['solver'].split(',')[0]} | {numbers} |")
+
+    def cells(quantity: str, ending: str = "") -> str:
+        sure = [
+            row
+            for row in judged
+            if row[f"reference_{quantity}"] <= CONVERGED * max(row["stated"], row[f"true_{quantity}"])
+        ]
+        ratios = [row["stated"] / row[f"true_{quantity}{ending}"] for row in sure]
+        covered, half = sum(ratio >= 1.0 for ratio in ratios), sum(ratio < 0.5 for ratio in ratios)
+        return f"{len(sure)} | {covered} | {half} | {np.median(ratios):.2g}" if sure else "0 | - | - | -"
+
+    kept = keep_rows(out, table, f"{out.stem}_coupled")
+    return [
+        "## Coupled scenes",
+        "",
+        f"`python scripts/verification/coverage_coupled.py run`, commit {head['frozen'][:8]}, seed {head['seed']}: "
+        f"{len(judged)} kinds of scenes with an array, a body, a stimulus and a skin, each once ({kept}). "
+        f"{len(rows) - len(judged)} other scenes were refused before the run. The reference is solver wedges with "
+        "elements 2.5 or 3 times finer. Errors are relative L2 errors over the second half of the run, at five places "
+        "near the focus together. The stated error is that of the displacement, without the cut edges: a run states "
+        "none of the velocity.",
+        "",
+        "| true error of | judged | stated >= true | below half | median stated / true |",
+        "|---|---|---|---|---|",
+        f"| displacement near the focus | {cells('displacement')} |",
+        f"| displacement at the focus | {cells('displacement', '_first')} |",
+        f"| velocity near the focus | {cells('velocity')} |",
+        "",
+    ]
 
 
 def main() -> None:

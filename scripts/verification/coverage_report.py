@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -174,10 +175,11 @@ def write_report(
     answers: list[dict[str, Any]],
     out: Path,
     frozen: str | None = None,
+    coupled: Sequence[str] = (),
 ) -> None:
     """Write the page, and the picture beside it (the page's name, .png).
 
-    frozen: commit of the code that the seed was drawn after, where that is so
+    frozen: commit of the code that the seed was drawn after, where that is so; coupled: lines on coupled scenes
     """
     rows = verdicts(drawn, truths, answers)
     auto = [row for row in rows if row.asked == "auto"]
@@ -239,6 +241,7 @@ def write_report(
         "",
         f"![True error against time of each solver]({picture.name})",
         "",
+        *coupled,
         "## References that contradict one another",
         "",
         *([f"- {line}" for line in contradictions(drawn, truths)] or ["None."]),
