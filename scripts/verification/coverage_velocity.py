@@ -227,12 +227,11 @@ def report(rows: list[dict[str, Any]], out: Path) -> None:
         + f". Seed: {', '.join(sorted({row['key'].partition('-')[0] for row in rows}))}.",
         "",
         "Bodies, materials and loads are random, of ten kinds. Half of the cases have a target accuracy for the "
-        "velocity, and half for the displacement. A `Traction` has its pressures at points of the face. The true error "
-        "is the relative L2 error over the times, at the worst point. The reference is another solver with "
+        "velocity, and half for the displacement. A `Traction` has its pressures at points of the face. True error and "
+        "judged cases are defined as for [displacements](skin_coverage.md). The reference is another solver with "
         f"{FINER:g} of the target accuracy, or with {SHARE:g} of the estimate, else a finer solution of the same "
-        f"solver. A case is judged only if the error of its reference is at most {CONVERGED:g} of the estimate or of "
-        "the true error, whichever is larger. All materials except those with short branches have a dashpot, without "
-        f"which no reference can be computed in a minute. {sum('missing' in row for row in rows)} cases had no result. "
+        "solver. All materials except those with short branches have a dashpot. "
+        f"{sum('missing' in row for row in rows)} cases had no result. "
         "Intervals are 95 % intervals.",
         "",
         "| quantity | cases | judged | estimate >= true | below half | median estimate / true |",
