@@ -172,7 +172,9 @@ def on_gpu(points: Float, normals: Float, cases: list[Case], device: str) -> lis
 
 def head(device: str, commit: str) -> list[str]:
     option = "" if device == "cpu" else f" --device {device} --out docs/bench/frames.md"
-    peaks = ", ".join(f"{ceiling(n):.0f} on {n}" for n in sorted({1, os.cpu_count() or 1}))
+    peaks = " and ".join(
+        f"{ceiling(n):.0f} GFLOP/s on {n} thread{'s' * (n > 1)}" for n in sorted({1, os.cpu_count() or 1})
+    )
     with threadpool_limits(1, user_api="blas"):
         yard_s = statistics.median(yardstick() for _ in range(RUNS))
     share = statistics.median(cores() for _ in range(RUNS))
@@ -182,7 +184,7 @@ def head(device: str, commit: str) -> list[str]:
         "",
         f"{place}; commit {commit}. Yardstick: one float64 product of 1000 x 1000 matrices on one thread took "
         f"{1e3 * yard_s:.1f} ms; {os.cpu_count()} threads of plain hashing did {share:.2f} times the work of one. "
-        f"The upper bound is NumPy's product of {SGEMM} x {SGEMM} float32 matrices: {peaks} threads, in GFLOP/s.",
+        f"The upper bound is the speed of NumPy's product of {SGEMM} x {SGEMM} float32 matrices: {peaks}.",
         "",
     ]
 
@@ -192,14 +194,14 @@ TEXT = f"""# Many frames on the same skin
 For developers. This page has the time to compute the ARP of {FRAMES} frames of 256 transducers (uhev1) at {POINTS}
 points of a dome {HEIGHT_M:g} m above the array. The frames move a focus {TURNS} times round a circle of
 {2e3 * RADIUS_M:g} mm, with exact phases or with phases rounded to 8 bits. `Transfer` computes the matrix of pressures
-and gradients once. It reduces the frames to the dimensions that they span and computes all ARP by matrix products. The
-result has {4e-6 * FRAMES * POINTS:.0f} MB. Values are medians of {RUNS} runs. The error is the relative L2 difference
-from float64 over {CHECKED} frames.
+and gradients once. `Transfer` then reduces the frames to the dimensions that they span, and computes the ARP of all
+frames by matrix products. The result has {4e-6 * FRAMES * POINTS:.0f} MB. Values are medians of {RUNS} runs. The error
+is the relative L2 difference from float64 over {CHECKED} frames.
 """
 
 CPU_TEXT = f"""
-GFLOP/s is the work of the product divided by the time of product and ARP. {{pages_s:.2f}} s of this time clear new
-memory; argument `out` avoids this. The time frame by frame is extrapolated from {ONE_BY_ONE} frames.
+GFLOP/s is the work of the product divided by the time of product and ARP. Clearing new memory takes {{pages_s:.2f}} s
+of this time; argument `out` avoids this. The time "frame by frame" is extrapolated from {ONE_BY_ONE} frames.
 """
 
 GPU_TEXT = """

@@ -211,8 +211,8 @@ def draw() -> None:
             panel.set_axis_off()
             panel.set_title(title)
         bar = figure.colorbar(ScalarMappable(bounds, colours), cax=figure.add_axes((0.91, 0.2, 0.015, 0.5)))
-        bar.set_label("thickness got / asked")
-        figure.suptitle(f"{1e3 * depth:g} mm asked, median woman's hand")
+        bar.set_label("thickness / requested thickness")
+        figure.suptitle(f"{1e3 * depth:g} mm requested, median woman's hand")
         figure.savefig(ROOT / "docs" / "images" / f"layer_{1e3 * depth:g}mm.png", dpi=70)
         plt.close(figure)
 
@@ -226,17 +226,15 @@ def main() -> None:
         f"For developers. `python scripts/bench_layers.py`, {processor()}, {os.cpu_count()} cores seen, one used, "
         f"commit {git_commit()}.",
         "",
-        "`palmfield.hand.wholelayer.hand_layer` makes layers of 1, 2, 3 and 5 mm under closed surfaces and under their",
-        f"palmar side. The table has the worse of both; {keep_rows(PAGE, rows)} has all rows.",
+        "`palmfield.hand.wholelayer.hand_layer` makes layers of 1, 2, 3 and 5 mm under whole closed surfaces, and",
+        f"under their palmar side only. The table has the worse value. {keep_rows(PAGE, rows)} has all rows.",
         "",
         "- Thickness is measured along the skin normal.",
-        "- Thinned means less than 0.999 of the requested thickness: at finger webs, tips and creases, "
-        "where",
-        "  thicker wedges would fold.",
-        "- Quality is the smallest scaled Jacobian (a Bernstein bound). Above 0 no wedge is folded.",
-        "- The volume of the wedges is divided by the integral of t - t^2 H + t^3 K / 3 over the skin, with "
-        "thickness t,",
-        "  mean curvature H and Gaussian curvature K.",
+        "- Thinned area is the area where the thickness is less than 0.999 of the requested one: at finger webs, tips",
+        "  and creases, where thicker wedges would fold.",
+        "- Quality is the smallest scaled Jacobian (a Bernstein bound). If it is above 0, no wedge is folded.",
+        "- The volume of the wedges is divided by the integral of t - t^2 H + t^3 K / 3 over the skin, with thickness",
+        "  t, mean curvature H and Gaussian curvature K.",
         "",
         *worst(rows),
         "",
@@ -246,9 +244,9 @@ def main() -> None:
         "",
         "## Where it is thin",
         "",
-        "![2 mm asked](../images/layer_2mm.png)",
+        "![2 mm requested](../images/layer_2mm.png)",
         "",
-        "![5 mm asked](../images/layer_5mm.png)",
+        "![5 mm requested](../images/layer_5mm.png)",
         "",
     ]  # fmt: skip
     text = "\n".join(lines)

@@ -143,23 +143,26 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skin_particles.md")
     arguments = parser.parse_args()
-    clock = "processor seconds of one core" if arguments.device == "cpu" else "seconds"
+    clock = "processor time of one run on one core" if arguments.device == "cpu" else "time of one run"
     text = f"""# Solver `particles`: time and error
 
 For developers of solvers. Command:
 `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_particles.py --device {arguments.device}`
 Device: {arguments.device}; machine: {platform.processor() or platform.machine()}, one thread.
 
-Disc 120 x 20 mm, Ecoflex 00-10 (nu 0.495), bonded, roller sides, spot of 10.3 mm, {LASTS:g} s from rest. Errors are
-in relative L2 over time, at the centre and 10 mm off, compared with the exact layer. "Law" is `law_error`, the
-error that the solver predicts. The cost is that of one run, in {clock}, with the search for the stable step.
+The disc of Ecoflex 00-10 (nu 0.495) has a diameter of 120 mm and a height of 20 mm. Its base is bonded, and its sides
+are on rollers. A spot of 10.3 mm acts for {LASTS:g} s, from rest. Errors are relative L2 errors over time, at the
+centre and 10 mm off, compared with the exact layer. "Law" is `law_error`, the error that the solver predicts. The cost
+is the {clock}. It includes the search for the stable step.
 
-| spacing [mm] | particles | ramp: centre | 10 mm | law | AM: centre | 10 mm | law | step [us] | cost [s] | us each |
+| spacing [mm] | particles | ramp: centre | 10 mm | law | AM: centre | 10 mm | law | step [us] | cost [s] | cost per \
+particle and step [us] |
 |---|---|---|---|---|---|---|---|---|---|---|
 {chr(10).join(motion_rows(arguments.device))}
 
-The next table has the error of the static push within one width of the axis (relative L2 by area; "law" in brackets),
-for a disc with a radius of two widths of the spot. The spacing is a share of this width:
+The next table has the error of the static displacement, with "law" in brackets. It is the relative L2 error by area,
+over the points up to one width of the spot from the axis. The disc has a radius of two widths of the spot. In each
+column, the spacing of the particles is a share of this width:
 
 | spot [mm] | depth [mm] | nu | width / 3 | width / 4 | width / 6 | width / 8 |
 |---|---|---|---|---|---|---|

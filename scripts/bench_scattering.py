@@ -268,9 +268,8 @@ is the peak that the call adds. GMRES stops at a residual of 1e-4.
 
 ## Rigid sphere in a plane wave
 
-The error is the relative L2 difference of the surface pressure from the series. The force is from the wall pressure,
-divided by pi a^2 E. For ka = 1, 3 and pi, the shape of the sphere needs a finer mesh than the
-wavelength.
+The error is the relative L2 difference of the surface pressure from the series. The force is computed from the wall
+pressure, and divided by pi a^2 E. For ka = 1, 3 and pi, the shape of the sphere needs a finer mesh than the wavelength.
 
 | ka | elements | edges per wavelength | error | force | series | difference | iterations | s | MB |
 |---|---|---|---|---|---|---|---|---|---|
@@ -290,10 +289,10 @@ Array uhev1 at full drive with p0 = {p0:g} Pa m in lossless air, focused on the 
 {costs}
 
 The next table compares the ARP of cheaper models with boundary elements, on faces that face the array within 60 mm of
-the focus. The models use the default ARP law. The models differ in the rule for lit faces. A face is lit by each
-transducer that it sees, or if a ray back along the energy flux is free, or always (no shadow). L2 is the relative
-difference by face. "L2 of the mean" is the same for means over half a wavelength. "Up" is the force on the body ({link}
-has more forces).
+the focus. The models use the default ARP law, and differ in the rule for lit faces: each transducer lights the faces
+that it sees; a face is lit if a ray back along the energy flux is free; or each face is lit ("no shadow"). L2 is the
+relative difference by face. "L2 of the mean" is the relative difference of means over half a wavelength. "Up" is the
+force on the body ({link} has more forces).
 
 | body | model | peak, Pa | L2 | L2 of the mean | up, mN | s |
 |---|---|---|---|---|---|---|

@@ -145,19 +145,18 @@ def main() -> None:
         f"CPU: {processor()}, {os.cpu_count()} cores, threads: OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS')}, "
         f"OPENBLAS_NUM_THREADS={os.environ.get('OPENBLAS_NUM_THREADS')}. Commit: {commit}.",
         "",
-        "The disc of Ecoflex 00-10 (nu 0.495) is 120 x 20 mm, bonded, with roller sides, under a Gaussian spot of",
-        "10.3 mm. Errors are at the centre, compared with the exact series. Time steps are 0.2 ms by "
-        "generalised-alpha.",
+        "The disc of Ecoflex 00-10 (nu 0.495) has a diameter of 120 mm and a height of 20 mm. Its base is bonded, and",
+        "its sides are on rollers. The load is a Gaussian spot of 10.3 mm. Errors are at the centre, compared with the",
+        "exact series. Time is integrated by the generalised-alpha method, in steps of 0.2 ms.",
         "",
         "| edge at spot / rim | unknowns | static error | error at 200 Hz | assembly [s] | factor [s] | step [s] "
         "| harmonic solution [s] |",
         "|---|---|---|---|---|---|---|---|",
         *mesh_rows,
         "",
-        f"{keep_rows(target, [ORDERS, '', *order_rows(system)], 'skin_c0_orders')} has the time with other "
-        "elimination orders,",
-        f"and {keep_rows(target, [SIDES, '', *side_rows()], 'skin_c0_sides')} the push under other boundary "
-        "conditions.",
+        f"{keep_rows(target, [ORDERS, '', *order_rows(system)], 'skin_c0_orders')} has the time with other elimination",
+        f"orders. {keep_rows(target, [SIDES, '', *side_rows()], 'skin_c0_sides')} has the displacement with other",
+        "boundary conditions.",
         "",
         "Error of the steady state at 200 Hz for several time steps (8 / 20 mm, 2 layers):",
         "",

@@ -167,19 +167,19 @@ def main() -> None:
         "",
         "## Solver `axisymmetric`, target 1 %",
         "",
-        "Ecoflex 00-10, 120 x 20 mm, bonded, free, fixed or roller sides, spot of 10.3 mm, 0.2 s at 2000 times, at the "
-        "centre and 10 mm off. The "
-        "error is in L2 of the normal displacement at the worse point, compared with a finer solution of the same "
-        "solver (consistency; [skin](skin.md) has accuracy).",
+        "The body is a bonded disc of Ecoflex 00-10 (diameter 120 mm, height 20 mm) with free, fixed or roller sides, "
+        "under a spot of 10.3 mm. The motion is computed for 0.2 s at 2000 times, at the centre and 10 mm off. The "
+        "error is the relative L2 error of the normal displacement at the worse point, compared with a finer solution "
+        "of the same solver. This is a test of consistency; [skin](skin.md) has the accuracy.",
         "",
         *SHORT,
         *round_ones,
         "",
         "## Solver `spectral_elements`, target 2 %",
         "",
-        f"Medians of {arguments.general_runs} runs, for all sides. The error is relative to `axisymmetric`. If the "
-        "estimate is above the target, `solve` continues with finer elements. Then the other loads take as long as "
-        "the ramp.",
+        f"Times are medians of {arguments.general_runs} runs, for all kinds of sides. The reference is "
+        "`axisymmetric`. If the estimate is above the target, `solve` continues with finer elements. Then the other "
+        "loads take as long as the ramp.",
         "",
         *SHORT,
         *general,

@@ -66,23 +66,28 @@ def main() -> None:
 
     apart = float(np.abs(skin_in_numpy() - hand.posed(*bones)).max())
     rows = {
-        "vertices and normals, left on the device": median_ms(skin),
-        "the vertices alone, as a NumPy array (`posed`)": median_ms(lambda: hand.posed(*bones)),
+        "vertices and normals, not copied from the device": median_ms(skin),
+        "only vertices, as a NumPy array (`posed`)": median_ms(lambda: hand.posed(*bones)),
         "bones from joint angles (`bone_poses`)": median_ms(lambda: bone_poses(hand.hand, pose)),
-        f"yardstick: the vertices alone in NumPy, float64 ({1e9 * apart:.0f} nm apart)": median_ms(skin_in_numpy, 5, 5),
-        "yardstick: NumPy copy of the vertices": median_ms(hand.surface.vertices.copy),
-        "skin checked for self-intersections (`posed_surface`)": median_ms(lambda: posed_surface(hand, pose), 5, 1),
+        f"for comparison: only vertices, in NumPy with float64 (positions differ by {1e9 * apart:.0f} nm)": median_ms(
+            skin_in_numpy, 5, 5
+        ),
+        "for comparison: copy of the vertices in NumPy": median_ms(hand.surface.vertices.copy),
+        "check of the skin for self-intersections (`posed_surface`)": median_ms(
+            lambda: posed_surface(hand, pose), 5, 1
+        ),
         "making a `SkinnedHand` from a cached mesh, once": 1e3 * made_s,
     }
     where = wp.get_device(device).name if device != "cpu" else f"{processor()}, {os.cpu_count()} cores seen, one used"
     lines = [
         "# Skinning a hand",
         "",
-        f"`python scripts/bench_skinning.py --device {args.device}`, {where}, commit {git_commit()}. "
-        f"Hand of {len(hand.surface.vertices)} vertices, {len(hand.surface.faces)} faces and {len(hand.hand.bones)} "
-        "bones, float32, at most four bones a vertex. Median of 5.",
+        "For developers. Skinning moves the vertices of a hand with its bones. `python scripts/bench_skinning.py "
+        f"--device {args.device}`, {where}, commit {git_commit()}. The hand has {len(hand.surface.vertices)} vertices, "
+        f"{len(hand.surface.faces)} faces and {len(hand.hand.bones)} bones, with at most four bones per vertex. It is "
+        "computed in float32. Times are medians of 5 calls.",
         "",
-        "| what | ms |",
+        "| work | time [ms] |",
         "|---|---|",
         *(f"| {name} | {value:.3f} |" for name, value in rows.items()),
     ]

@@ -49,7 +49,7 @@ def in_scene(seconds: float) -> str:
         sim.step()
     wall, processor_s = time.perf_counter() - began, time.process_time() - busy
     skin, stepper = sim.runtime.model.skins[0], sim.runtime.model.begin[0].value
-    made = f"model within {100 * stepper.error:.2g} % of the layer" if stepper.error else ""
+    made = f"reduced model {100 * stepper.error:.2g} %" if stepper.error else ""
     return (
         f"| scene, `{sim.skin().solver}` | {len(skin.layer.mesh.elements)} | {skin.layer.dofs} | {wall:.1f} | "
         f"{processor_s:.1f} | {ready:.1f} | {wall / seconds:.0f} | {made} |"
@@ -57,7 +57,7 @@ def in_scene(seconds: float) -> str:
 
 
 def problem(seconds: float) -> tuple[Layer, Spot, np.ndarray]:
-    """The layer of docs/bench/skin_spectral_elements.md under a spot that goes to and fro; two points on its way."""
+    """Return the layer of docs/bench/skin_spectral_elements.md, a spot that moves back and forth, and two points."""
     hand = hand_surface(load_preset("open_men_p50"))
     patch = surface_patch(
         hand.surface, DEPTH_m, np.zeros(3), 0.045, 0.0018, 0.0018, 0.045, max_depth_m=DEPTH_m, max_fraction=1.0
@@ -98,7 +98,7 @@ def main() -> None:
         found, count = np.load(arguments.against)["displacement"][:, :, 2], len(motion.times_s)
         own = motion.displacement_m[:, :, 2]
         apart = np.linalg.norm(found[:count] - own, axis=0) / np.linalg.norm(own, axis=0)
-        print(f"apart from {arguments.against} over {arguments.seconds:g} s: {100 * apart.max():.2g} %")
+        print(f"difference from {arguments.against} over {arguments.seconds:g} s: {100 * apart.max():.2g} %")
 
 
 if __name__ == "__main__":

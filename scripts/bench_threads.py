@@ -61,9 +61,9 @@ def main() -> None:
         "# The field on all cores",
         "",
         f"For developers. `python scripts/bench_threads.py`, {processor()}, {os.cpu_count()} cores seen, commit "
-        f"{git_commit()}. The table has the speed-up of the field by a second core: pressure of 996 pistons with "
-        f"absorption, mode fast. As a yardstick, plain hashing was measured before and after each of {args.turns} "
-        "rounds. Rounds with a similar speed-up of hashing are in one row, with medians.",
+        f"{git_commit()}. The table shows how much a second core speeds up the field (pressure of 996 pistons with "
+        "absorption, mode fast). A simple computation for comparison (hashing) was measured before and after each of "
+        f"{args.turns} rounds. Rounds with a similar speed-up of hashing are in one row, with medians.",
         "",
         "| points | speed-up of hashing by all cores | rounds | speed-up of the field | M pairs/s on all cores |",
         "|---|---|---|---|---|",

@@ -108,11 +108,11 @@ def digest() -> str:
 def ceilings(rate: float) -> str:
     """What the GPU could do at most, in words; rate: of `issue_rate`."""
     sines = (
-        f"{SINES} of these instructions are roots, sines and cosines. They alone limit the speed to "
+        f"{SINES} of these instructions are roots, sines and cosines. These alone limit the speed to "
         f"{rate / 8 / SINES / 1e12:.2f} T "
     )
     if not counted():
-        return sines + "pairs/s. The others were not counted for these kernels: no share of the issue ceiling is given."
+        return sines + "pairs/s. The other instructions of these kernels were not counted, so there is no ceiling."
     most = [rate / SLOTS[what] / 1e12 for what in SLOTS]
     return (
         f"A pair takes {SLOTS['p']} instructions, or {SLOTS['p + gradient']} with the gradient, and one more beyond "
@@ -162,7 +162,7 @@ def kernel_rows(device: str, rate: float) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--commit", default="unknown", help="what the table says was measured")
+    parser.add_argument("--commit", default="unknown", help="commit for the page")
     arguments = parser.parse_args()
     device = resolve("cuda:0")
     rate = issue_rate(device)
@@ -180,8 +180,8 @@ def main() -> None:
         "",
         "## Only the kernels",
         "",
-        f"996 pistons with absorption (four AUTD3 units) and {KERNEL_POINTS:,} points that stay on the GPU. "
-        f"The GPU does {rate / 1e12:.1f} T multiply-adds a second. {ceilings(rate)}",
+        f"The field of 996 pistons with absorption (four AUTD3 units) is computed at {KERNEL_POINTS:,} points that "
+        f"stay on the GPU. The GPU does {rate / 1e12:.1f} T multiply-adds a second. {ceilings(rate)}",
         "",
         "| distance | mode | result | T pairs/s | share of the ceiling | error |",
         "|---|---|---|---|---|---|",

@@ -29,8 +29,8 @@ PEERS = {
 }
 """Of each other program: its name here, the module that it needs, cells along a side and layers."""
 ABOUT = (
-    f"The other programs solve once at rest and once at {F_Hz:g} Hz, on a quarter of a disc of "
-    f"{1e3 * skin.RADIUS_M:g} mm. MuJoCo's flex settles on a whole disc, with the relaxed moduli. It gives no "
+    f"The other programs solve once at rest and once at {F_Hz:g} Hz, on a quarter of a disc with a radius of "
+    f"{1e3 * skin.RADIUS_M:g} mm. MuJoCo's flex settles on a whole disc, with the relaxed moduli. Flex gives no "
     f"result at {F_Hz:g} Hz."
 )
 COMMAND = "python scripts/bench/compare_skin.py"

@@ -115,7 +115,7 @@ def measure(scene: str, times: int, lit: int, accuracies: list[float]) -> list[s
 def worst(rows: list[str]) -> list[str]:
     """A table of the worst scene for each accuracy and place of the foci."""
     lines = [
-        "| force_accuracy | foci | force [%]: rms, largest | torque [%]: rms, largest |",
+        "| force_accuracy | foci | force error [%]: rms, largest | torque error [%]: rms, largest |",
         "|---|---|---|---|",
     ]
     found = [cells(row) for row in rows]

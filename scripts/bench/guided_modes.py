@@ -233,19 +233,19 @@ ROWS = ["| SNR dB | layer mm | Hz | strongest wave rad/m | bound % | answer |", 
 HEAD = """# Guided mode of a scan: resolved or not
 
 For developers. `scripts/bench/guided_modes.py` tests the fit of the [guided
-mode](../instruments.md#the-guided-mode) on scans from another model: finite elements through the depth of a bonded
-layer of a fractional material, with all its waves. Beams come at 45 degrees. The grid covers 120 mm with points 5
-mm apart and is displaced by 1 mm. Seeds were drawn after the code was finished.
+mode](../instruments.md#the-guided-mode) on scans from another model. This model has finite elements through the
+depth of a bonded layer of a fractional material. The beams have an incidence of 45 degrees. The grid covers 120 mm
+with points 5 mm apart, and is displaced by 1 mm. Seeds were drawn after the code was finished.
 
 - Wide: scans that are wide and fine enough for their strongest wave. Layers without a travelling wave are omitted.
-- Wrong: the resolved wavenumber is more than 3 % from each wave of the layer. Or it belongs to a weaker wave, although
-  the strongest wave carries more than 1.25 times as much.
+- Wrong: the resolved wavenumber differs by more than 3 % from that of each wave of the layer, or belongs to a
+  weaker wave although the strongest is more than 1.25 times as strong.
 - Others: further waves that were resolved.
-- Noise: wide scans whose noise prevents an answer (Cramer-Rao bound of the wavenumber above 1.3 %).
-- Not resolved: share of the wide scans without such noise.
+- Noise: wide scans with too much noise to resolve the wave (the Cramer-Rao bound of the wavenumber is above 1.3 %).
+- Not resolved: scans that were not resolved, of the wide scans without too much noise.
 
-The last column is the median time. 34 dB correspond to 25 times as many averages as 20 dB. {link} has each scan of
-the first seed.
+The last column is the median time of a fit [s]. A signal-to-noise ratio of 34 dB needs 25 times as many averages as
+20 dB. {link} has each scan of the first seed.
 
 | draw | scans | wide | resolved (wide) | error [%]: median, largest | others | wrong | noise | not resolved | s |
 |---|---|---|---|---|---|---|---|---|---|

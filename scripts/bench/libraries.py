@@ -167,8 +167,10 @@ def factor_once(library: str, name: str, kind: str, threads: int) -> None:
 def factors() -> None:
     save_matrices()
     print(
-        "| unknowns | matrix | library | factor s | 1 solve ms | 64 together ms | MB | residual | 2 threads: factor s, "
-        "1 solve ms, 64 ms | same bits again | on 2 threads |\n" + "|---" * 11 + "|"
+        "| unknowns | matrix | library | factor [s] | 1 solution [ms] | 64 solutions together [ms] | peak memory [MB] "
+        "| residual | 2 threads: factor [s], 1 solution [ms], 64 [ms] | same bits again | same bits on 2 threads |\n"
+        + "|---" * 11
+        + "|"
     )
     for name in MATRICES:
         for kind in ("real", "complex"):
@@ -283,7 +285,7 @@ def meshes() -> None:
                 words = f"{type(error).__name__}: {str(error)[:60]}"
             if not isinstance(words, str):
                 closed = is_closed(words[1])
-                words = f"closed, volume {volume_of(*words) / sound:.3f}" if closed else "not closed, and no word of it"
+                words = f"closed, volume {volume_of(*words) / sound:.3f}" if closed else "not closed, without a message"
             cells.append(f"{words}; {1e3 * (time.process_time() - begin):.0f} ms")
         print(f"| {fault} | {' | '.join(cells)} |", flush=True)
 
@@ -304,7 +306,7 @@ def own_repair(vertices: Any, faces: Any) -> Any:
     from palmfield.hand.repair import repair
 
     mesh = repair(vertices, faces)
-    return "refused, with places" if mesh.refused else (mesh.vertices, mesh.faces)
+    return "refused, with positions" if mesh.refused else (mesh.vertices, mesh.faces)
 
 
 def trimesh_repair(vertices: Any, faces: Any) -> Any:

@@ -67,7 +67,8 @@ def main() -> None:
         amplitude, phase = np.abs(np.abs(ratio) - 1.0).max(), np.degrees(np.abs(np.angle(ratio)).max())
         print(f"| {n} | {1e3 * n * length:.0f} | {100 * amplitude:.2g} % | {phase:.2g} deg |")
     array = layout("uhev1")
-    print("\n| focus [mm] | complex pressure | complex, but for one common phase | magnitude |\n|---|---|---|---|")
+    print("\n| distance of the focus [mm] | error of the complex pressure | error without the common phase", end="")
+    print(" | error of the magnitude |\n|---|---|---|---|")
     for z in FOCI_M:
         drive = focus(array, air, [0.0, 0.0, z])
         points = np.array([0.0, 0.0, z]) + np.random.default_rng(0).uniform(-0.02, 0.02, (200, 3))

@@ -72,7 +72,7 @@ def compare(checkouts: list[Path], caches: Path, times: int) -> None:
     def row(name: str, *numbers: Iterable[str]) -> None:
         print(f"| {name} | {' | '.join(' -> '.join(cell) for cell in numbers)} |", flush=True)
 
-    print("| what | CPU [s] | modules | lines |\n|---|---|---|---|")
+    print("| work | CPU time [s] | imported modules | imported lines |\n|---|---|---|---|")
     for name, case in CASES.items():
         code = code_of(case)
         seconds: dict[Path, list[float]] = {where: [] for where in checkouts}

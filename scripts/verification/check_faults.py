@@ -28,9 +28,9 @@ def stalled(length_s: float, seconds: float) -> tuple[str, Outcome]:
     after = 1e3 * result.late_between(until_s + AFTER_S, until_s + 1.0)
     report = result.report
     return (
-        f"{report.skipped} of {report.frames + report.skipped} due frames left out, warned of: "
-        f"{'yes' if report.warning else 'no'}; {1e3 * AFTER_S:.0f} ms after it frames sound at most "
-        f"{after:.1f} ms late (a frame takes {1e3 * faults.FRAME_S:.1f})",
+        f"{report.skipped} of {report.frames + report.skipped} due frames were omitted, "
+        f"{'with' if report.warning else '**without**'} a warning; {1e3 * AFTER_S:.0f} ms after the fault, frames are "
+        f"at most {after:.1f} ms late (a frame takes {1e3 * faults.FRAME_S:.1f} ms)",
         result,
     )  # fmt: skip
 
@@ -39,8 +39,8 @@ def full() -> tuple[str, Outcome]:
     result = faults.full_buffer()
     assert result.report is not None
     return (
-        f"{result.report.cut} frames of which the system took a part only; "
-        f"what lies in a buffer that nobody tells of sounds up to {max(result.late_s):.1f} s late",
+        f"the system accepted only a part of {result.report.cut} frames; frames in the hidden buffer sound up to "
+        f"{max(result.late_s):.1f} s late",
         result,
     )  # fmt: skip
 
@@ -48,7 +48,7 @@ def full() -> tuple[str, Outcome]:
 def half() -> tuple[str, Outcome]:
     result = faults.half_frame_lost()
     numbers = result.numbers
-    return f"{numbers['mixed']} of {numbers['frames']} frames sounded with phases of others among its own", result
+    return f"{numbers['mixed']} of {numbers['frames']} frames had phases of other frames", result
 
 
 def outcome_text(result: Outcome) -> tuple[str, Outcome]:
@@ -71,20 +71,20 @@ def busy(realtime: bool) -> tuple[str, Outcome]:
     report = result.report
     assert report is not None
     return (
-        f"{report.skipped} of {report.frames + report.skipped} due frames left out, 99 % within "
-        f"{1e3 * report.late_p99_s:.2f} ms ({report.priority}); the machine itself paused "
+        f"{report.skipped} of {report.frames + report.skipped} due frames omitted, 99 % within "
+        f"{1e3 * report.late_p99_s:.2f} ms ({report.priority}); the machine paused "
         f"{result.numbers['pauses']:.0f} times for more than half a frame",
         result,
     )  # fmt: skip
 
 
 CASES: list[tuple[str, Callable[[], tuple[str, Outcome]]]] = [
-    ("the line takes nothing for 1 s", lambda: stalled(1.0, 3.0)),
-    ("the line takes nothing for 4 s", lambda: stalled(4.0, 5.0)),
-    ("the line takes nothing for 1.5 s and nobody tells: a full buffer", full),
+    ("the line accepts no bytes for 1 s", lambda: stalled(1.0, 3.0)),
+    ("the line accepts no bytes for 4 s", lambda: stalled(4.0, 5.0)),
+    ("the line stops for 1.5 s behind a hidden buffer, which fills up", full),
     ("100 bytes are lost on the line", half),
-    ("unplugged for good", lambda: outcome_text(faults.unplugged(None))),
-    ("unplugged, and plugged in again after 0.4 s", lambda: outcome_text(faults.unplugged(0.4))),
+    ("unplugged and not plugged in again", lambda: outcome_text(faults.unplugged(None))),
+    ("unplugged, then plugged in again after 0.4 s", lambda: outcome_text(faults.unplugged(0.4))),
     ("the player gets SIGKILL", lambda: outcome_text(faults.player_killed())),
     ("the caller gets SIGKILL", lambda: ended(signal.SIGKILL)),
     ("the caller gets SIGINT", lambda: ended(signal.SIGINT)),
@@ -95,7 +95,7 @@ CASES: list[tuple[str, Callable[[], tuple[str, Outcome]]]] = [
     ("the caller gets SIGTSTP (Ctrl-Z)", lambda: paused(signal.SIGTSTP)),
     ("the caller gets SIGSTOP", lambda: paused(signal.SIGSTOP)),
     ("the host computes on all cores, player with priority", lambda: busy(True)),
-    ("the host computes on all cores, player without", lambda: busy(False)),
+    ("the host computes on all cores, player without priority", lambda: busy(False)),
 ]
 HEAD = """# Faults
 
@@ -111,7 +111,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", type=Path, help="markdown file to write")
     args = parser.parse_args()
-    lines = ["| fault | what came of it | off at the end | torn |", "|---|---|---|---|"]
+    lines = ["| fault | result | board off at the end | torn frames |", "|---|---|---|---|"]
     print("\n".join(lines))
     for name, measure in CASES:
         words, result = measure()

@@ -239,10 +239,10 @@ def error_table(lines: list[str]) -> list[str]:
 
 
 def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dict, command: str, commit: str) -> None:
-    """The page with its picture.
+    """Write the page with its picture.
 
-    jumps: what a shadow by points changes in the whole layer's displacement and velocity, by scene; smoother: what the
-    modes' velocity under it differs by from the whole layer's under the smooth one, by scene
+    jumps: change of displacement and velocity of the full model by a shadow by points, by scene
+    smoother: difference of the velocity of modes under it from that of the full model under the smooth shadow, by scene
     """
     picture = page.with_name("modes.png")
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), sharex=True, layout="constrained")
@@ -257,44 +257,40 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dic
         axis.set(xlabel="modes", ylabel=f"error of the {what} [%]")
         axis.grid(alpha=0.3)
     axes[1].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    figure.suptitle(f"{first}: modes for every load against the whole layer", fontsize=10)
+    figure.suptitle(f"{first}: modes for every load against the full model", fontsize=10)
     figure.savefig(picture, dpi=130)
     plt.close(figure)
     text = [
         "# Modes for every load of a class",
         "",
-        "For developers. If the load of a skin cannot be predicted, palmfield uses modes for every sound of the "
-        "arrays on a",
-        "region (`palmfield/skin/reduction/modal_stepper.py`). This page has the errors of such modes under loads "
-        "that were",
-        "not used to make them. The reference is the full wedge model on the same mesh with the same step "
-        "(consistency;",
-        "[skin](skin.md) has tests of accuracy).",
+        "For developers. If the load of a skin cannot be predicted, palmfield uses modes for every sound of the arrays",
+        "on a region (`palmfield/skin/reduction/modal_stepper.py`). This page has the errors of such modes under loads",
+        "that were not used to make them. The reference is the full wedge model on the same mesh with the same step (a",
+        "test of consistency; [skin](skin.md) has tests of accuracy).",
         "",
         f"Written by `python scripts/verification/check_modes.py {command} --write docs/bench/modes.md`, commit "
         f"{commit}, {processor()}, Python {platform.python_version()}.",
         "",
-        "- `:sheets` has the sheets finger_pad, palm and forearm in shares of 0.1, 0.3 and 0.6, with three "
-        "relaxation laws.",
+        "- `:sheets` has the sheets finger_pad, palm and forearm in shares of 0.1, 0.3 and 0.6, with three relaxation",
+        "  laws.",
         "- `:contrast` has a sheet of 1 MPa (share 0.05) with low loss on a sheet of 10 kPa with high loss.",
         "- `:shadows` has modes that were made for shadows.",
         "",
-        f"{keep_rows(page, base_table(lines), 'modes_bases')} has shapes, build times and memory. A cell of the "
-        "next table has",
-        "error / estimate of the displacement, then of the velocity, in percent, with the most modes; L2 over the "
-        "surface",
-        f"and 50 ms. {keep_rows(page, [*ROWS, *lines])} has the parts of the estimate and fewer modes.",
+        f"{keep_rows(page, base_table(lines), 'modes_bases')} has shapes, build times and memory. Each cell of the",
+        "next table has four values in percent: error / estimate of the displacement, then error / estimate of the",
+        "velocity. Errors are relative L2 errors over the surface and 50 ms, for the number of modes in the head of",
+        f"the column. {keep_rows(page, [*ROWS, *lines])} has the parts of the estimate and fewer modes.",
         "",
         *error_table(lines),
         "",
-        "*Finger's shadow*: the pressure acts on the lit share of the area of each point. *Shadow by points*: each "
-        "point is",
-        "lit or dark, as in a scene. When the edge of a shadow jumps, the mesh of the full model responds with "
-        "clicks. Its",
-        "motion (displacement / velocity) under the two shadows differs by "
+        "*Finger's shadow*: the pressure acts on the lit share of the area of each point. *Shadow by points*: each",
+        "point is lit or dark, as in a scene. When the edge of a shadow jumps, the mesh of the full model responds",
+        "with clicks. The motion of the full model (displacement / velocity) differs between the two shadows by "
         + "; ".join(f"{100 * u:.1f} / {100 * v:.0f} % ({scene})" for scene, (u, v) in jumps.items())
-        + ". Modes omit most clicks. Their velocity under the shadow by points differs from that of the full model",
-        "under the smooth shadow by " + "; ".join(f"{100 * v:.0f} % ({scene})" for scene, v in smoother.items()) + ".",
+        + ". Modes omit most clicks. The velocity of the modes under the shadow by points differs from the velocity of",
+        "the full model under the smooth shadow by "
+        + "; ".join(f"{100 * v:.0f} % ({scene})" for scene, v in smoother.items())
+        + ".",
         "",
         "The estimate of the displacement covers all rows. The estimate of the velocity covers the smooth shadow, but",
         "usually not the shadow by points. If a larger part of a load than the target accuracy lies outside the class,",

@@ -112,7 +112,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0, help="of each of the four runs")
     parser.add_argument("--write", type=Path, help="the page")
-    parser.add_argument("--load", default="nothing that was told", help="what else the machine does, in words")
+    parser.add_argument("--load", default="not stated", help="other load on the machine, in words")
     parser.add_argument("--commit", default="", help="for the head, where no git is [default: git's]")
     args = parser.parse_args()
     print(f"four runs of {args.seconds:g} s, some {4 * args.seconds + 15:.0f} s in all", file=sys.stderr, flush=True)

@@ -90,8 +90,9 @@ def main() -> int:
 For developers. `python scripts/verification/{Path(__file__).name}`, {device}, commit {commit}.
 Small variants of {len(rows)} scenes were stepped {options.steps} times on the GPU and on the CPU. The table has the
 largest difference of all scenes; {link} has each scene. Differences are relative to the largest value of the run (for
-forces: to the length of the vector). They show consistency, not accuracy. "Flipped" is the share of nodes and steps at
-which the ARP differs by more than 1e-4: there a ray grazes an edge, and rounding decides whether the point is lit.
+forces: to the length of the vector). The differences show consistency, not accuracy. "Flipped" is the share of nodes
+and steps at which the ARP differs by more than 1e-4. At such a point a ray grazes an edge, and rounding decides whether
+the point is lit.
 
 """
         largest = [max((cells(row)[column] for row in rows), key=float) for column in range(1, 6)]

@@ -224,12 +224,14 @@ PAGE = """# Accuracy of shadows
 For everyone who uses `body_sound` `shadows`. Written by `python scripts/verification/check_shadows.py --write {page}`,
 commit {commit}, {processor}.
 
-The focus is 200 mm above the middle of board uhev1. With key `shadow_edges` `knife_edge` (default) each edge diffracts
-the sound; with `rays` a point is lit or dark. The table has errors of |p|^2 within 24 mm of the focus, relative to the
-peak without the body. The bodies are screens {height:.0f} mm above the board at 33 positions. The reference is
-Kirchhoff's integral over their area in float64. The last two columns are the largest change of |p|^2 over 0.1 mm.
+The focus is 200 mm above the middle of board uhev1. If key `shadow_edges` is `knife_edge` (default), each edge
+diffracts the sound. If it is `rays`, a point is either lit or dark. The table has errors of |p|^2 within 24 mm of the
+focus, relative to the peak without the body. The bodies are screens {height:.0f} mm above the board at 33 positions.
+The reference is Kirchhoff's integral over the area of the screen in float64. The last two columns have the largest
+change of |p|^2 over a distance of 0.1 mm.
 
-| body | knife edge, largest | rms | rays, largest | rms | knife edge, change in 0.1 mm | rays, change in 0.1 mm |
+| body | knife edge, largest error | knife edge, rms error | rays, largest error | rays, rms error | \
+knife edge, change in 0.1 mm | rays, change in 0.1 mm |
 |---|---|---|---|---|---|---|
 {rows}
 

@@ -170,7 +170,7 @@ def main() -> None:
             ):
                 column[0].plot(1e3 * OFFSETS_m, by[:, focus], label=name, **look)
                 column[1].plot(1e3 * place.points[middle, 0], by[SHOWN, middle], **look)
-            column[0].plot(1e3 * OFFSETS_m, screen[:, len(screen[0]) // 2], color="grey", label="Kirchhoff's strip")
+            column[0].plot(1e3 * OFFSETS_m, screen[:, len(screen[0]) // 2], color="grey", label="Kirchhoff, flat strip")
             column[1].plot(1e3 * place.points[middle, 0], screen[SHOWN], color="grey")
             column[0].set(title=f"{1e3 * gap_m:.0f} mm below the palm", xlabel="finger moved by, mm")
             column[1].set(xlabel=f"x on the palm, mm; finger at {1e3 * OFFSETS_m[SHOWN]:.0f} mm")
@@ -184,7 +184,9 @@ def main() -> None:
         save(figure, ROOT / "docs" / "images" / "shadows_bem.png")
     text = SECTION.format(
         rows="\n".join(rows),
-        header=" | ".join(f"{name} | rms | within 5 %" for name in ("knife edges", "closer nodes", "strip", "rays")),
+        header=" | ".join(
+            f"{name}: largest | rms | below 5 %" for name in ("knife edges", "closer nodes", "strip", "rays")
+        ),
         spacing=1e3 * SKIN_SPACING_m,
         wide=2e3 * RADIUS_m,
         long=1e3 * LENGTH_m,
@@ -207,12 +209,12 @@ SECTION = (
 Written by `python scripts/verification/check_shadows_bem.py --write {page}`,
 commit {commit}, {processor}, {seconds:.0f} s on a machine that others used.
 
-A rigid finger, {wide:.0f} mm thick and {long:.0f} mm long, lies across the beam below the plane of the focus, at
-positions up to {last:.0f} mm from the middle. The reference is boundary elements, {elements:.0f} per wavelength, on
-48 x 24 mm of that plane. The table has errors of |p|^2 relative to the peak without the finger: the largest error, the
-rms error, and the share of points with an error below 5 %. It compares knife edges as in scenes (nodes {spacing:.0f} mm
-apart), knife edges with nodes {closer:.0f} mm apart, Kirchhoff's integral over a flat strip with the width of the
-finger, and rays.
+A rigid finger, {wide:.0f} mm thick and {long:.0f} mm long, lies across the beam below the plane of the focus. Its
+positions are up to {last:.0f} mm from the middle. The reference is a solution by boundary elements, {elements:.0f} per
+wavelength, on 48 x 24 mm of that plane. The table has errors of |p|^2 relative to the peak without the finger: the
+largest error, the rms error, and the share of points with an error below 5 %. Four models are compared: knife edges as
+in scenes (nodes {spacing:.0f} mm apart), knife edges with nodes {closer:.0f} mm apart ("closer nodes"), Kirchhoff's
+integral over a flat strip with the width of the finger ("strip"), and rays.
 
 | finger below the palm | {header} |
 |---|---|---|---|---|---|---|---|---|---|---|---|---|
@@ -220,8 +222,8 @@ finger, and rays.
 
 ![|p|² behind a finger](../images/shadows_bem.png)
 
-The error of knife edges is largest in the half shadow, where |p|^2 is steepest. A flat strip has similar errors,
-because sound creeps round a real finger and its sides reflect sound.
+The error of knife edges is largest in the half shadow, where |p|^2 is steepest. Kirchhoff's integral over a flat
+strip has similar errors, so the main cause is the assumption of a flat screen.
 """
 )
 

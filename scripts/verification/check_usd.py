@@ -265,8 +265,7 @@ def page(rows: list[Row], large: list[str], options: argparse.Namespace, command
 
 For developers. Written by `{command}`, commit {options.commit or git_commit()}, {processor()}. Each scene
 was run for {1e3 * options.duration:g} ms at accuracy {options.accuracy:g}. Its `scene.usdc` has all quantities,
-and magnified points if they take 8 MB or less. Skins are coloured by normal displacement. The values are read from the
-files. {kept} has each scene.
+and magnified points if they take 8 MB or less. The values are read from the files. {kept} has each scene.
 
 | check of {len(rows)} scenes | largest value |
 |---|---|
@@ -282,20 +281,20 @@ files. {kept} has each scene.
 
 {chr(10).join(findings)}
 
-Silent scenes, whose force and skin are not tested: {silent or "none"}. Quantities that a run does not have:
+Force and skin of silent scenes are not tested: {silent or "none"}. Quantities that a run does not have:
 
 {chr(10).join(f"- {', '.join(names)}: {why}" for why, names in left.items()) or "none"}
 
 ## 5,041 vertices, 500 frames
 
-The scene has ARP and normal displacement under a focus on a circle of 30 mm. Rounding changes each by at most 1/255 of
-its range.
+The scene has ARP and normal displacement under a focus on a circle of 30 mm. Rounding changes ARP and displacement by
+at most 1/255 of their ranges.
 
 | colour | file size [MB] | time to write [s] |
 |---|---|---|
 {chr(10).join(large)}
 
-The peak memory of the program, with the data of the runs and the libraries of USD, is {peak:.0f} MiB.
+The peak memory of the program is {peak:.0f} MiB. This includes the data of the runs and the libraries of USD.
 """
 
 

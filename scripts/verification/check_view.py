@@ -185,9 +185,9 @@ def table(result: Measured, command: str, page: Path) -> str:
 
 HEAD = """# Speed of the live view
 
-For everyone who uses the live view. Made by `scripts/verification/check_view.py`. A picture is a new state of the mesh
-of the skin with its colours, as a client receives it. Drawing in the browser is not included. On a busy machine, the
-CPU time of a step is more reliable than the number of steps per second.
+For everyone who uses the live view. Made by `scripts/verification/check_view.py`. A picture is a new state of the skin
+mesh, with its colours, that a client receives. The time for drawing in the browser is not included. On a busy machine,
+the CPU time of a step is more reliable than the number of steps per second.
 
 """
 

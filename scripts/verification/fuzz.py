@@ -120,14 +120,11 @@ def main() -> int:
         "",
         f"    {command} --write docs/bench/fuzzing.md",
         "",
-        "hypothesis draws the inputs (`scripts/verification/fuzz_cases.py`): forbidden values and combinations of "
-        "keys, and small scenes and meshes of a ball with a known fault or random changes. Nothing is simulated. A "
-        "randomly changed "
-        f"input may still be valid. These outcomes count as bad: tracebacks, crashes, more than {LONGEST_S:g} s, "
-        f"forbidden inputs that "
-        "are "
-        "accepted, and messages of several lines or in the words of MuJoCo, its XML parser, pydantic or Python's "
-        "imports.",
+        "The library hypothesis draws the inputs (`scripts/verification/fuzz_cases.py`). They are forbidden values and "
+        "combinations of keys, small scenes, and meshes of a ball. Scenes and meshes have a known fault or random "
+        "changes. Nothing is simulated. A randomly changed input may still be valid. These outcomes count as bad: "
+        f"tracebacks, crashes, more than {LONGEST_S:g} s, and forbidden inputs that are accepted. Messages of several "
+        "lines, and messages that come from MuJoCo, its XML parser, pydantic or Python's imports, also count as bad.",
         "",
         f"{len(outcomes)} different inputs with {faults} kinds of faults, seed {arguments.seed}, {spent:.0f} s.",
         "",

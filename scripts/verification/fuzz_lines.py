@@ -247,7 +247,7 @@ def main() -> int:
         "`drive --live` (foci), half to that of `trial --live` and `track record` (hands). Each line must be "
         "counted once, as accepted or refused. For foci, an independent reader checks the decision. At the end the "
         f"listener must accept a good line. {again} batches of {BATCH} lines were sent again, because they had "
-        f"waited for 0.1 s. Faults: {len(faults)}.",
+        f"waited for 0.1 s. {f'Faults: {len(faults)}' if faults else 'No faults were found'}.",
         "",
         f"| change of the line | {' | '.join(f'{door}: accepted, refused' for door in DOORS)} |",
         "|---" * (1 + len(DOORS)) + "|",

@@ -26,14 +26,15 @@ MORE: dict[str, tuple[str, dict[str, object]]] = {
 HEAD = """# Invariants
 
 For developers. Made by `python scripts/verification/invariants.py`, commit {commit}; do not edit. {scenes} scenes were
-stepped {steps} times each on a CPU (moving scenes from a quarter of their time on, or from the first force on). Each
+stepped {steps} times each on a CPU. Scenes that move begin at a quarter of their time, or at their first force. Each
 scene must give the same results in other forms:
 
 - shifted by (0.31, -0.17, 0.23) m.
 - turned, with gravity and motions: by 90 degrees about z, with exchanged axes, or by 78 degrees about a skew axis
   with that shift.
 - mirrored: with the other hand, or without a hand with y reversed.
-- other order of plugins, instances and sensors; transducers from a CSV file, in their order and in reverse order.
+- other order: the order of plugins, instances and sensors is changed.
+- from a file: the transducers are read from a CSV file, in their order or in reverse order.
 - p0 x 2: all results become four times as large, or stay the same if the stimulus sets the level.
 - step / 2: half of the MuJoCo step.
 - two worlds, the second with a displaced stimulus; each is compared with a single run.
@@ -43,13 +44,13 @@ A change is ||changed - original|| / ||original|| over all nodes and steps.
 LAST = """## Limits
 
 The limit for ARP and force is single precision ({rounding:g}, and {p0:g} for p0 x 2). The limit for displacement is a
-tenth of the stated error of modes or reduced model; without these, a tenth of key `accuracy`. {over}
-`tests/test_invariants.py` applies the same limits to smaller scenes. Larger limits apply to
+tenth of the stated error of the modes or of the reduced model. For skins without modes and without a reduced model, it
+is a tenth of key `accuracy`. {over} `tests/test_invariants.py` applies the same limits to smaller scenes. Larger limits
+apply to
 
 - step / 2 (up to the `accuracy`), because MuJoCo's integrator is of first order in the step;
-- follow_fingertip, turned and shifted, because a scripted motion is a monotone cubic in each axis of the file
-  ([motion](../motion.md)), so the position of this hand differs by
-  {apart_mm:.2f} mm;
+- follow_fingertip, turned and shifted. A scripted motion is a monotone cubic in each axis of the file
+  ([motion](../motion.md)). So the position of this hand differs by {apart_mm:.2f} mm;
 - mirrored discs, because rounding decides the diagonals between four nodes on one circle. Up to {elsewhere:.2g} % of
   the nodes then have other positions; the others are compared, to a tenth of the `accuracy`.
 """
@@ -135,12 +136,11 @@ def page(
         for variant, (value, label) in most.items():
             largest[variant].append(f"{value:.2g} ({label})" if value else "0")
     lines += [
-        "The table has the largest change of all scenes. Displacement is in percent of the stated error of the modes "
-        "or of the reduced model. Forces are relative to the largest force of a body. Files have the changes of each "
-        "scene: "
-        f"{', '.join(links)}.",
+        "The table has the largest change of all scenes. The change of the displacement is in percent of the stated "
+        "error of the modes or of the reduced model. The change of a force is relative to the largest force of a body. "
+        f"Files have the changes of each scene: {', '.join(links)}.",
         "",
-        "| form | displacement [%] | ARP at the skin's nodes | mean force |",
+        "| form | displacement [% of the stated error] | ARP at the nodes of the skin | mean force |",
         "|---|---|---|---|",
         *(" | ".join(row) + " |" for row in largest.values()),
         "",
@@ -151,7 +151,7 @@ def page(
     apart = max((rows["turned and shifted"]["position"] for rows in found.values()), default=0.0)
     elsewhere = max((rows["mirrored"]["mesh"] for rows in found.values()), default=0.0)
     figures = {"apart_mm": 1e3 * apart, "elsewhere": 100.0 * elsewhere}
-    over_text = f"Exceeded: {'; '.join(over)}." if over else "None is exceeded."
+    over_text = f"Exceeded limits: {'; '.join(over)}." if over else "No limit is exceeded."
     lines.append(LAST.format(rounding=LIMITS["ARP"], p0=PUSHED["ARP"], over=over_text, **figures).strip())
     return "\n".join(lines) + "\n"
 
