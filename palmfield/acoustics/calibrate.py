@@ -14,8 +14,8 @@ def calibrate_p0(
 ) -> tuple[float, float]:
     """Return p0 of an array [Pa m] and its standard error, by least squares over measured pressure magnitudes.
 
-    The model is |p_i| = p0 m_i + e_i, with m_i the simulated magnitude for p0 = 1 and errors e_i of equal variance, as
-    from a microphone with a noise floor. Then p0 = sum(m_i |p_i|)/sum(m_i^2), and the variance is estimated from the
+    The model is |p_i| = p0 m_i + e_i, with the simulated magnitude m_i for p0 = 1. The errors e_i have equal variance,
+    as from a microphone with a noise floor. Then p0 = sum(m_i |p_i|)/sum(m_i^2), and the variance is estimated from the
     residuals with n - 1 degrees of freedom. The standard error contains the scatter only, not errors common to all
     readings, such as that of the microphone calibration.
 

@@ -1,7 +1,7 @@
 """Multiple reflections between the rigid face of an array and a flat rigid wall in front of it.
 
-Both are modelled as infinite planes with reflection 1. The sound at the wall after m round trips is then that of an
-image of the array, which is moved back by 2 m distances.
+Both are modelled as infinite planes with reflection 1. After m round trips, the sound at the wall is then the sound of
+an image of the array, farther back by 2 m times the distance.
 """
 
 import math

@@ -93,8 +93,8 @@ def fundamental_left(sigma: float) -> float:
 def arp_left(sigma: float) -> float:
     """Return the ARP relative to that of a linear beam; below the shock distance, harmonics have all of the lost ARP.
 
-    It is the mean square of the steepened sine with its weak shock, (2/pi) ((pi - s)/2 + sin(2s)/4 + sigma sin(s)^3/3),
-    where s = sigma sin(s) is the phase that has entered the shock.
+    It is the mean square of the steepened sine with its weak shock, (2/pi) ((pi - s)/2 + sin(2s)/4 + sigma sin(s)^3/3).
+    The phase s = sigma sin(s) has entered the shock.
     Raises PalmfieldError for sigma that is negative or not finite.
     """
     _check(sigma)

@@ -71,6 +71,6 @@ def directivity(array: Array, wavenumber: float, cosine: Float) -> Float:
 
 
 def directivity_bend(array: Array, wavenumber: float, cosine: Float) -> Float:
-    """Return the derivative of the directivity by the cosine of the angle off the axis, in the shape of the cosine."""
+    """Return d(directivity)/d(cos) for cosines of the angle off the axis, in the shape of the cosines."""
     square = np.maximum(1.0 - cosine**2, 0.0)
     return np.asarray(-2.0 * cosine * form_of(array).slope(square, wavenumber * array.piston_radius_m))

@@ -61,12 +61,11 @@ def scatter(
     """Return the total sound on a closed rigid body, by matrix-free collocation with one value per face, and GMRES.
 
     The Helmholtz integral p_i + K p is p/2 on the surface and 0 inside. The equation of a face is the first condition
-    at its centroid minus i times the second condition at a point an eighth of a wavelength below it (the dual-surface
-    equation of Yaghjian and co-workers for radio waves). It is Burton & Miller's equation with the normal derivative as
-    a difference over that depth, so it has no hypersingular kernel. On a sphere its eigenvalues are proportional to
-    j_n(ka) - i j_n(kb), with b the inner radius, and never vanish, so there are no irregular frequencies. For other
-    bodies this is not proved; check momentum and reciprocity. The equation is of the second kind and needs no
-    preconditioner.
+    at its centroid minus i times the second condition an eighth of a wavelength below. (Yaghjian and co-workers use
+    this dual-surface equation for radio waves.) It is Burton & Miller's equation with the normal derivative as a
+    difference over that depth, so it has no hypersingular kernel. On a sphere of inner radius b its eigenvalues are
+    proportional to j_n(ka) - i j_n(kb). They never vanish, so there are no irregular frequencies. For other bodies this
+    is not proved; check momentum and reciprocity. The equation is of the second kind and needs no preconditioner.
 
     mesh_vertices: [m], shape (v, 3). faces: shape (m, 3), counter-clockwise seen from outside.
     incident: pressure without the body, which must satisfy the wave equation inside the body too.

@@ -2,7 +2,7 @@
 
 Air that absorbs sound of intensity I absorbs its momentum: a force of 2 alpha I/c per volume (Nyborg 1965; Lighthill
 1978), which is alpha times the ARP of the sound on a wall. Without viscosity and turbulence, the integral of this force
-along the axis of a beam is the stagnation pressure of the wind, and rho w^2/2 in the free wind. Viscosity and
+along the axis of a beam is the stagnation pressure of the wind. In the free wind it is rho w^2/2. Viscosity and
 turbulence reduce it, so this is an upper bound.
 """
 

@@ -6,8 +6,8 @@ The first line is a JSON object: `palmfield_log` (1, the version), `board`, `key
 array, and upper end of its range). If the first array differs from its layout, there are also `positions_m` (places of
 its transducers), `turns_rad` (phase that each transducer adds to its command), and `address` (places of all transducers
 in the byte order of the board). Null means the value of the layout. Each further line is a JSON object of one piece of
-bytes: `t`, time at which the port received its first byte [s, since the link was opened], `hex`, the bytes, and `cut`
-if, after a write timeout, the number of sent bytes is unknown.
+bytes: `t`, time at which the port received its first byte [s, since the link was opened]; `hex`, the bytes; `cut`, if
+the number of sent bytes is unknown after a write timeout.
 """
 
 import json

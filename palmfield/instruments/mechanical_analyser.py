@@ -1,7 +1,7 @@
 """Dynamic mechanical analyser: a disc between two plates is compressed, and its modulus is measured.
 
-If the faces are bonded to the plates, a disc is stiffer than its material. The reading is an apparent modulus, which
-depends on the shape factor S, loaded area over free area, a/(2 h) for radius a and height h.
+If the faces are bonded to the plates, a disc is stiffer than its material. The reading is an apparent modulus. It
+depends on the shape factor S, loaded area over free area: a/(2 h) for radius a and height h.
 """
 
 from typing import ClassVar, Literal

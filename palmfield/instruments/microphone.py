@@ -115,8 +115,8 @@ def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> C
     """Return the response of the body of a microphone at an angle relative to sound from the front, in the shape of
     cosine.
 
-    The cylinder is approximated by a rigid sphere of its diameter (exact, `surface_pressure`). At k a = 1.2, 1/8 inch
-    at 40 kHz, sound from the front is raised by 3.4 dB and sound at 50 degrees by 2.5 dB. Multiply the mean over the
+    The cylinder is approximated by a rigid sphere of its diameter (exact, `surface_pressure`). At k a = 1.2 (1/8 inch
+    at 40 kHz), sound from the front rises by 3.4 dB, sound at 50 degrees by 2.5 dB. Multiply the mean over the
     diaphragm of `microphone_scan` by this factor for each source separately.
 
     cosine: cosine of the angle between the outward normal of the diaphragm and the direction to the source, -1 to 1

@@ -83,7 +83,7 @@ def ring_fits(scanned: Scanned) -> list[Rings]:
     """Return fits of 1, 2, ... rings, until two further rings do not lower the score, or up to MOST_RINGS.
 
     Each fit starts from the rings of the previous fit. Either a further ring is added, at the STARTS wavenumbers of
-    smallest residual, or one ring is split in two, because a single ring fits between two similar waves.
+    smallest residual, or one ring is split in two. (A single ring fits between two similar waves.)
     """
     fits: list[Rings] = []
     x = np.zeros(2)
@@ -102,7 +102,7 @@ def ring_fits(scanned: Scanned) -> list[Rings]:
 def hidden_change(scanned: Scanned, fit: Rings, number: int) -> float:
     """Return the largest change of the wavenumber of a ring by a wave hidden in the noise, relative to |k|.
 
-    A further ring of normal motion, with the losses of the ring, is added at wavenumbers around it, at least
+    A further ring of normal motion, with the losses of the ring, is added at wavenumbers around it. They are at least
     HIDDEN_APART from all rings of the fit. To first order this shifts the wavenumber and changes its standard
     deviation. The result is the largest root of the sum of squares of both.
     """

@@ -73,8 +73,8 @@ def integrated(signal: ArrayLike, rate_Hz: float) -> Float:
 def sampled(times_s: ArrayLike, signal: ArrayLike, at_s: ArrayLike) -> Float:
     """Sample a signal at other, evenly spaced times, shape (len(at_s), ...), by a cubic spline.
 
-    If the rate of the signal is higher than that of `at_s`, it is first filtered by a zero-phase Butterworth low-pass
-    of order 8 at 0.4 of the new rate, to avoid aliasing. Before its first time the signal has its first value.
+    If the rate of the signal is higher than the rate of `at_s`, a filter first avoids aliasing: a zero-phase
+    Butterworth low-pass of order 8 at 0.4 of the new rate. Before its first time the signal has its first value.
     Raises MeasurementError for times after the last one.
     """
     times, values = trace(times_s, signal, 4)

@@ -30,8 +30,8 @@ from palmfield.types import Float, Patch, Surface
 
 UNEVEN = 3.0
 """Factor by which a layer on a body is meshed more accurately than the target: the rules are calibrated on a disc of
-even depth. On a palm (target 0.05, 200 Hz, 11 places within 18 mm) a mesh for a third of the target differs from a
-mesh with 12 times the unknowns by 1.2 % in the median, and by 10 % at one place near a rim."""
+even depth. On a palm (target 0.05, 200 Hz, 11 places within 18 mm), a mesh for a third of the target was compared with
+12 times the unknowns: the median difference is 1.2 %, and 10 % at one place near a rim."""
 
 RADIUS_STEP_M = 0.01
 """The radius of a patch is a multiple of this [m], so that similar stimuli share a patch. Rounding reduces the radius

@@ -274,7 +274,7 @@ def factors_at(config: StimulusConfig, times: Float) -> Float:
 class Moments(NamedTuple):
     """Times at which a load is evaluated for equal steps, and the weights of these loads in each step.
 
-    Without jumps and held values the load is linear in a step, and the times are the two ends of the step, shared with
+    Without jumps and held values the load is linear in a step. The times are then the two ends of the step, shared with
     the neighbouring steps. A step in which focus or level jump or are held is divided at each jump and tick. The times
     are the middles of these parts, and the load is their mean, weighted by length, so that the impulse is exact.
 

@@ -1,11 +1,10 @@
 """Estimate polarity, phase and gain of each transducer from its own sound, at several places of a microphone.
 
-The pressure of transducer n at place m is G_n D(angle) e^{b1 s + b2 s^2} e^{ikr - beta r}/r with s = sin^2(angle). All
-unknowns are fitted together by Gauss-Newton steps: the complex factors G_n, the true places of the microphone, the
-speed of sound and its drift during the measurement, and the deviation of the directivity from the layout (b1, b2). All
-unknowns except G have priors. Delays other than polarity also have a prior of a few degrees, by sin(2 (arg G - common
-phase))/2, which does not depend on polarity. Without this prior, a wrong speed of sound would give delays that grow
-towards the rim.
+The pressure of transducer n at place m is G_n D(angle) e^{b1 s + b2 s^2} e^{ikr - beta r}/r with s = sin^2(angle).
+Gauss-Newton steps fit all unknowns together: the complex factors G_n, the true places of the microphone, the speed of
+sound and its drift, and the deviation of the directivity from the layout (b1, b2). All unknowns except G have priors.
+Delays other than polarity also have a prior of a few degrees, by sin(2 (arg G - common phase))/2, which does not depend
+on polarity. Without this prior, a wrong speed of sound would give delays that grow towards the rim.
 """
 
 import math

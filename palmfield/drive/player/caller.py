@@ -36,7 +36,7 @@ def signals_to(alarm: socket.socket, silent_within_s: float) -> Iterator[None]:
     """In the block, write the numbers of signals to a socket without delay, also while Python is busy.
 
     alarm: socket that never blocks; silent_within_s: time to silence the board before Ctrl-Z stops this process
-    Signals are caught only in the main thread, except signals that the process ignores (as SIGHUP under nohup).
+    Signals are caught only in the main thread. Signals that the process ignores are not caught (as SIGHUP under nohup).
     """
     if not in_main_thread():
         yield

@@ -79,8 +79,8 @@ def edge_is_felt(body: Body, load: Load, points: Float) -> bool:
 def motion_width(body: Body, load: Load) -> float:
     """Return the length [m] along the face that elements must resolve: the width of the load.
 
-    If pressure reaches the sides, it is at most the depth, over which the effect of the sides decays, and at most a
-    part of the distance from the middle to the sides. It has a lower limit relative to the body."""
+    If pressure reaches the sides, it is at most the depth, because the effect of the sides decays over the depth. It is
+    also at most a part of the distance from the middle to the sides. It has a lower limit relative to the body."""
     width = load_width(load)
     if pressure_at_sides(body, load) < AT_SIDES:
         return width

@@ -31,8 +31,8 @@ def refusal_of_spot(body: Body, load: Load) -> str | None:
 def trim_absorbing_rim(body: Body, load: Load, points: Float, reach: float) -> Body:
     """Return a layer without a belt along its rim; other bodies are unchanged.
 
-    The width of the belt is (1 - reach) of the distance from the middle of the load to the rim, but at most half of the
-    distance from load or requested points (n, 3) to the rim. A layer without room for a belt is unchanged."""
+    The width of the belt is (1 - reach) of the distance from the middle of the load to the rim. It is at most half of
+    the distance from load or requested points (n, 3) to the rim. A layer without room for a belt is unchanged."""
     if reach == 1.0 or not isinstance(body, Layer):
         return body
     patch = body.patch

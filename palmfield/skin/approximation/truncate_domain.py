@@ -66,10 +66,10 @@ def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: f
 def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float, float] | None:
     """Return the distance [m] at which an edge changes the motion by at most SHARE of the accuracy, and that change.
 
-    The change follows from the ratio of the motion at a distance to the motion at the centre, as energies summed over
-    the bands of the load. An edge reflects a wave with at most this ratio, and the wave decays by the same ratio on its
-    way back. A guided wave, above c_s / 4h, focuses in the middle of a round edge, with sqrt(2 pi k R) times its
-    amplitude at the edge. The largest ratio at this or a larger distance counts, because motion may pass through 0.
+    The change follows from the ratio of the motion at a distance to the motion at the centre, in energies summed over
+    bands. An edge reflects a wave with at most this ratio, and the wave decays by the same ratio on its way back. A
+    guided wave, above c_s / 4h, focuses in the middle of a round edge, with sqrt(2 pi k R) times its amplitude at the
+    edge. The largest ratio at this or a larger distance counts, because motion may pass through 0.
     Returns None if no distance up to FURTHEST widths is enough.
     """
     material, width = body.sheets[0].material, load_width(load)

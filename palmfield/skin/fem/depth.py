@@ -92,7 +92,7 @@ def _piece(k: Float, f_Hz: float, material: Material, h: float, degree: int) -> 
     shear, bulk = complex_shear(material, f_Hz), complex_bulk(material, f_Hz)
     mass, slope, mixed, projected = _by_rise(degree, h)
     degree = max(degree, 1)
-    # z points up and nodes are numbered downwards, so a derivative by z is minus the derivative by depth.
+    # z points up and nodes are numbered downwards, so d/dz is minus the derivative with respect to depth.
     wave = k[:, None, None]
     lame = bulk - 2.0 / 3.0 * shear
     inertia = material.density_kg_m3 * (2.0 * math.pi * f_Hz) ** 2 * mass

@@ -24,9 +24,9 @@ PARTS = 3
 def on_body(body: Body, load: Load) -> Load:
     """Return a load without the part off the body; the same load if all of it is on the body.
 
-    A spot is returned unchanged. If areas of the points of a traction reach over the side of a slab or the rim of a
-    layer, the pressure is sampled again at points that cover the whole pressed face. Single points, and points on a
-    line, that lie on the body press with their whole area.
+    A spot is returned unchanged. If areas of the points of a traction cross the side of a slab or the rim of a layer,
+    the pressure is sampled again. The new points cover the whole pressed face. Single points, and points on a line,
+    that lie on the body press with their whole area.
     """
     if isinstance(load, Spot) or len(load.points) == 0:
         return load

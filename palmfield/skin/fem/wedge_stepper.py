@@ -1,7 +1,7 @@
 """Step a whole layer of quadratic wedges by generalised-alpha (Chung & Hulbert 1993), with one solve per substep.
 
-A substep (see Scheme) solves A x = f + sum_i K_i z_i for the new displacement x, where A = sum_i c_i K_i and z_i are
-sums of rows of the old state. With z_0 = c_0 y, one product with a K_i is saved:
+A substep (see Scheme) solves A x = f + sum_i K_i z_i for the new displacement x. A is sum_i c_i K_i; z_i are sums of
+rows of the old state. With z_0 = c_0 y, one product with a K_i is saved:
 
     x = y + A^-1 (f + sum over i > 0 of K_i (z_i - c_i y)).
 

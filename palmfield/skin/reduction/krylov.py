@@ -1,19 +1,19 @@
 """Basis for a reduced viscoelastic body from one real factorisation: block Arnoldi of the first-order form.
 
 With v = u' and q_i' = (u - q_i) / tau_i a body is T x' = A x + b f, x = (u, v, q_1, ..). The Krylov space of
-(sigma T - A)^-1 T from (sigma T - A)^-1 b contains the derivatives by s, at s = sigma, of the solutions Z(s)^-1 B. Each
+(sigma T - A)^-1 T from (sigma T - A)^-1 b contains the s-derivatives, at s = sigma, of the solutions Z(s)^-1 B. Each
 new block needs one solve with Z(sigma). A prime marks the new x:
 
     Z(sigma) u' = M (v + sigma u) + C u + sum_p K_p (t u + sum_i g_i tau_i / (1 + sigma tau_i) q_i) + F w'
     v' = sigma u' - u,    q_i' = (u' + tau_i q_i) / (1 + sigma tau_i)
 
 So u, v and q all lie in the space of u, and x is stored as coordinates in a basis of this space (two-level orthogonal
-Arnoldi: Lu, Su & Bai, SIAM J. Matrix Anal. Appl. 37, 2016). If sigma > 0 is about as large as the highest frequency w,
-the solutions for all s from 0 to i w converge together, in real arithmetic.
+Arnoldi: Lu, Su & Bai, SIAM J. Matrix Anal. Appl. 37, 2016). If sigma > 0 is about the highest frequency w, the
+solutions for all s from 0 to i w converge together, in real arithmetic.
 
 A load with a predicted course needs a smaller basis than a load with any course. If the load is F w with w' = S w from
-w(0) = w_0, the space begins with the single vector for w_0, and w' = (sigma - S)^-1 w is added to the equations. A
-focus on a circle then needs some tens of vectors instead of hundreds.
+w(0) = w_0, the space begins with the single vector for w_0. The equation w' = (sigma - S)^-1 w is then added. A focus
+on a circle then needs some tens of vectors instead of hundreds.
 
 A space grows until the result stops changing (`grow_until`): the motion under a predicted load (reduced_stepper and
 solvers.reduced), or the transfer functions over a band (`palmfield.skin.reduction.reducer.reduce`).

@@ -291,8 +291,8 @@ def reduced_stepper(
     step_s: length of a substep [s]; the shares of the predicted load have the same step.
     highest_Hz: highest relevant frequency [Hz]. tolerance: target relative error.
     pressures: shapes that compose the load, so that only their points are evaluated; None for all points.
-    The error is the larger of two estimates. The first is SAFETY times the change of the motion under the load, from
-    rest or in a tone, by the last ROUND or more vectors, in L2, over the surface or at the point, whichever is larger.
+    The error is the larger of two estimates. The first is SAFETY times the change, by the last ROUND or more vectors,
+    of the motion under the load, from rest or in a tone. It is in L2; the larger of the surface and the point counts.
     The second is the error of the steady motion over the surface at the frequencies of the load: the displacement under
     the residual, by the stored factors. Both come from a smaller or stiffer body than the true one, so they are no
     bounds. Raises SceneError if MOST_VECTORS do not reach the tolerance.

@@ -202,8 +202,8 @@ def first_step(body: Body, load: Load, accuracy: float) -> float:
 def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes:
     """Return the mesh sizes for an accuracy, from width and place of the load, shear wavelength and points.
 
-    Errors of a disc with these sizes are in estimate.py. The triangles of a layer are quartered at least once, because
-    the coarser mesh of the error estimate is the patch itself or a mesh in between. Too fine triangles are replaced.
+    Errors of a disc with these sizes are in estimate.py. The triangles of a layer are quartered at least once: the
+    coarser mesh of the error estimate is the patch or a mesh in between. Too fine triangles are replaced.
     """
     if not 1e-4 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give one in 0.0001 to 0.5")

@@ -65,9 +65,9 @@ def _speed(body: Slab, s: float) -> float:
 def _own_frequency(body: Slab, s: float) -> float:
     """Return the frequency [Hz] of the oscillation after release of a spot: c_s / (2 pi s), or that of the layer.
 
-    A layer thinner than the spot oscillates at the quarter-wave frequency of shear. If the spot is so wide that the
-    compression of a column, h / M, is more than the squeeze to the sides, about (h / s)^2 h / 3 G, it also oscillates
-    at the quarter-wave frequency of compression.
+    A layer thinner than the spot oscillates at the quarter-wave frequency of shear. Under a wide spot it also
+    oscillates at the quarter-wave frequency of compression. A spot is wide if the compression of a column, h / M, is
+    more than the squeeze to the sides, about (h / s)^2 h / 3 G.
     """
     h = body.thickness_m
     own = _speed(body, min(s, 2.0 * h / math.pi)) / (2.0 * math.pi * min(s, 2.0 * h / math.pi))

@@ -5,10 +5,10 @@ A spot of standard deviation s at distance d from the axis and angle phi is the 
     e_m exp(-(r^2 + d^2) / 2 s^2) I_m(r d / s^2) cos m(theta - phi),    e_0 = 1, e_m = 2
 
 (Jacobi-Anger; Abramowitz & Stegun 9.6.34). Because the disc is round, the harmonics are independent (`element`). The
-load of a harmonic is a few shapes in r (POD over the distances of the spot) times complex numbers e^{-i m phi(t)} in
-time. A circle about the axis has a single shape. Each harmonic is reduced to some tens of vectors between these shapes
-and the requested points (`reduced`). These models are integrated exactly between the times of the load. A moving spot
-is sampled often enough that the load is linear in between.
+load of a harmonic is a few shapes in r times complex numbers e^{-i m phi(t)} in time. The shapes come from a POD over
+the distances of the spot. A circle about the axis has a single shape. Each harmonic is reduced to some tens of vectors
+between these shapes and the requested points (`reduced`). These models are integrated exactly between the times of the
+load. A moving spot is sampled often enough that the load is linear in between.
 """
 
 import math

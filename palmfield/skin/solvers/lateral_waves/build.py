@@ -43,7 +43,7 @@ LOOSEST = 0.03
 """Largest tolerance of the modes in depth, at wavenumbers with nearly no load."""
 JUMP = 0.05
 """Factor on the tolerance of the modes after a sudden load, in the run for the error estimate. It is small because the
-error of the velocity falls at best as the root of the tolerance, and at times not at all to a fifth of it."""
+error of the velocity falls at best as the root of the tolerance, and sometimes is no smaller at a fifth of it."""
 RINGS = 60
 
 

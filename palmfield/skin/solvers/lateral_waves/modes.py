@@ -107,7 +107,7 @@ def _factor(rows: Float) -> Float:
 def face_modes(problem: DepthProblem, horizon_s: float, tolerance: float) -> FaceModes:
     """Return poles and residues for times up to horizon_s [s], to a relative tolerance of the step response.
 
-    The state (u, u', L^T q) satisfies A x' = B x + force with symmetric A and B, so x^T A x gives the residues.
+    The state (u, u', L^T q) satisfies A x' = B x + force. A and B are symmetric, so x^T A x gives the residues.
     """
     model = reduce(problem, horizon_s, tolerance)
     n = len(model.normal)

@@ -58,9 +58,9 @@ def solve_lateral_waves(problem: SkinProblem, *, tolerance: float | None = None,
 
     tolerance: tolerance of each part (wavenumbers, angles, depth modes, omitted short waves); it switches refinement
         off. threads: number of threads on the CPU; None uses all cores.
-    The error is estimated by a run with a fifth of the tolerance, and one wavenumber more on a disc or box, at up to
-    four of the points. For a snapshot (fewer than eight times, more than 32 points) the second run has a third of the
-    tolerance and 200 points, with one error for all.
+    A second run with a fifth of the tolerance estimates the error at up to four of the points. On a disc or box it has
+    one wavenumber more. For a snapshot (fewer than eight times, more than 32 points) it has a third of the tolerance,
+    200 points and one error for all.
     Raises SceneError if `refusal_lateral_waves` returns a reason, and for points or an accuracy out of range.
     """
     slab = accepted(problem)

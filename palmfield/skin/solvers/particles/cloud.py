@@ -3,7 +3,7 @@
 The area vector of a pair is a_sj = integral of N_s grad N_j over the cells between particles; N are the (tri)linear
 shape functions. This is the projection of the gradient with lumped volumes (averaged in Dohrmann et al. 2000, Int. J.
 Numer. Meth. Engng 47, 1549; smoothed in Chen, Wu, Yoon & You 2001, ibid. 50, 435). On a square lattice it is the kernel
-gradient of total-Lagrangian SPH after linear correction, with weights 2/9, 1/18 and 1/72 on the faces, edges and
+gradient of total-Lagrangian SPH after linear correction. The weights are 2/9, 1/18 and 1/72 on the faces, edges and
 corners of the cube round a particle. At the faces of the body two conditions are exact; corrected kernels satisfy only
 the first:
     sum_j a_sj (X_j - X_s) = V_s I              gradients of linear fields are exact.

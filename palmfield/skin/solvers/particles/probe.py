@@ -16,8 +16,8 @@ def point_weights(columns: Columns, normals: Float, at: Float) -> tuple[Float, I
 
     normals: outward area vectors of the particles of the face, shape (f, 3); at: shape (n, 3), or (n, 2) on a flat
     face. Returns points [m] (n, 3), particles (n, k), weights (n, k). The method is moving least squares in the tangent
-    plane of the nearest particle, with a quadratic basis and weights that are infinite at a particle (Lancaster &
-    Salkauskas 1981). So quadratic fields are exact, and so is the displacement of a particle at its own place.
+    plane of the nearest particle, with a quadratic basis. Weights are infinite at a particle (Lancaster & Salkauskas
+    1981). So quadratic fields are exact, and so is the displacement of a particle at its own place.
     Raises SceneError for other shapes and points that are not finite or farther from all particles than two spacings.
     """
     points = in_space(at)

@@ -93,9 +93,9 @@ class ParticleLayer(OwnMesh):
 class ParticleStepper(OwnMeshStepper):
     """Particles at finite strain under a dead load, in steps that divide a substep; see SkinStepper.
 
-    A state has displacement, velocity and memory by particle and stresses by site (see run.Particles.begin), as float32
-    values in float64, so that it is the same on every device. Velocities are half a step of the particles earlier.
-    `step` also raises SceneError, without a change of the state, for a body that is crushed or inverted.
+    A state has displacement, velocity and memory by particle and stresses by site (see run.Particles.begin). Values are
+    float32 stored as float64, so that states are the same on every device. Velocities are half a step of the particles
+    earlier. `step` also raises SceneError, without a change of the state, for a body that is crushed or inverted.
     """
 
     name = "particles"

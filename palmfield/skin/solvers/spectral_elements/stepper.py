@@ -105,8 +105,8 @@ class ElementLayer(OwnMesh):
 class SpectralElementStepper(OwnMeshStepper):
     """A body on spectral elements, in steps of the scheme that divide a substep; see SkinStepper.
 
-    A state has u and v by node, w and y of each branch by copy (see run.Stepper), as float32 values in float64, so that
-    it is the same on every device. Velocities are half a step of the scheme earlier.
+    A state has u and v by node, w and y of each branch by copy (see run.Stepper). Values are float32 stored as float64,
+    so that states are the same on every device. Velocities are half a step of the scheme earlier.
     Raises SceneError for an element that is flat or inverted.
     """
 
