@@ -201,6 +201,7 @@ def _properties(model: type[BaseModel]) -> dict[str, Any]:
 def unit(key: str) -> str:
     """Return the unit in the name of a key, e.g. `Pa/m` for `foundation_normal_Pa_m`; empty if it has none."""
     units = {
+        "_per_cm2": "1/cm2",
         "_kg_m3": "kg/m^3", "normal_Pa_m": "Pa/m", "tangential_Pa_m": "Pa/m", "_Pa_s_m": "Pa s/m", "_Pa_m": "Pa m",
         "_Pa": "Pa", "_m_s": "m/s", "_m": "m",
         "_s": "s", "_Hz": "Hz", "_C": "C", "_percent": "%", "_deg": "deg", "_ppm": "ppm", "_dB": "dB",

@@ -184,7 +184,7 @@ class SkinConfig(Config):
     receptor_densities_per_cm2: Amounts = Field(
         (), description="receptors on: SA1, RA1 and PC afferents per cm2 (default: by region of the hand, receptors.md)"
     )
-    receptor_depths_m: Shares = Field(
+    receptor_depths_m: Amounts = Field(
         (), description="receptors on: depths of the endings of SA1, RA1 and PC (default: 0.0007 0.0007 0.002)"
     )
     receptor_seed: Annotated[int, Field(ge=0)] = Field(

@@ -11,7 +11,7 @@ from palmfield.errors import SceneError
 from palmfield.hand.regions import part_of, regions_at
 from palmfield.perception.afferents import AFFERENTS, largest_under_probe
 from palmfield.perception.populations import DENSITIES_PER_CM2
-from palmfield.skin.fem.probe import below_surface
+from palmfield.skin.fem.below_surface import below_surface
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.types import Float
 

@@ -9,8 +9,8 @@ from scipy.special import j0
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.below_surface import below_surface
 from palmfield.skin.fem.load import SurfaceQuadrature
-from palmfield.skin.fem.probe import below_surface
 from palmfield.skin.fem.solver import static
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.mesh.disc import disc_patch
