@@ -1,8 +1,8 @@
 from .base import Foundation as Foundation
 from .base import Springs as Springs
-from .base import half_space as half_space
 from .costs import Choice as Choice
 from .costs import scene_choices as scene_choices
+from .endless import half_space as half_space
 from .fem.wedge_stepper import WedgeStepper as WedgeStepper
 from .materials.catalogue import CATALOGUE as CATALOGUE
 from .materials.catalogue import preset as preset

@@ -6,7 +6,7 @@ import scipy  # loads its submodules at first use
 
 from palmfield.config.skin import ENDLESS, OVERRIDES, SkinConfig
 from palmfield.errors import SceneError
-from palmfield.skin.base import Base, Springs, half_space
+from palmfield.skin.base import Base, Springs
 from palmfield.skin.materials.catalogue import CATALOGUE, preset, softest_and_stiffest
 from palmfield.skin.materials.material import Branch, Material, shear_wave
 from palmfield.skin.materials.sheet import Sheet
@@ -70,8 +70,7 @@ def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
 
 
 def cutoff_Hz(skin: SkinConfig, sheets: tuple[Sheet, ...], depth_m: float) -> float | None:
-    """Return the frequency [Hz] below which a layer of this depth [m] guides no wave; None on a sliding or free base
-    and on tissue without end.
+    """Return the frequency [Hz] below which a layer of this depth [m] guides no wave; None unless on bone or springs.
 
     For springs instead of a rigid base, the result is an upper bound.
     """
@@ -88,6 +87,8 @@ def sheets_in_words(sheets: tuple[Sheet, ...]) -> str:
 def base_of(skin: SkinConfig, sheets: tuple[Sheet, ...]) -> Base:
     """Return the base of a layer of these sheets in the form of `palmfield.skin.fem.assembly.assemble`."""
     if skin.base == "deep" or skin.base == "muscle":
+        from palmfield.skin.endless import half_space
+
         return half_space(preset("muscle") if skin.base == "muscle" else sheets[-1].material)
     return Springs(*(skin.springs or ())) if skin.base == "springs" else skin.base
 

@@ -7,7 +7,7 @@ import pytest
 from half_space import angle_wavenumbers, midpoint_sheets, reflection, surface_stiffness
 from half_space import impedance as exact_impedance
 
-from palmfield.skin.base import half_space
+from palmfield.skin.endless import half_space
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.depth import condensed, impedance, on_impedance
 from palmfield.skin.fem.load import SurfaceQuadrature
