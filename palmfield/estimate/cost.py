@@ -2,7 +2,7 @@
 
 from palmfield.simulation.model import SkinModel
 from palmfield.skin.costs import assembly_s, factor_s, vector_s
-from palmfield.skin.from_config import softest_and_stiffest_sheets
+from palmfield.skin.extreme_sheets import softest_and_stiffest_sheets
 
 FINER = 1.25
 """Ratio of the element sizes to those of a finer mesh."""

@@ -28,7 +28,7 @@ from palmfield.session.loudest_moment import LoudestMoment, at_full_level, place
 from palmfield.simulation.build import at_any_level
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
-from palmfield.skin.from_config import softest_and_stiffest_sheets
+from palmfield.skin.extreme_sheets import softest_and_stiffest_sheets
 from palmfield.skin.reduction.point_model import TOLERANCE, PointModel
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper

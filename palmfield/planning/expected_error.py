@@ -4,7 +4,7 @@ from palmfield.estimate.array_inputs import p0_band, p0_known
 from palmfield.planning.pins import coarse_pins
 from palmfield.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
-from palmfield.skin.from_config import softest_and_stiffest_sheets
+from palmfield.skin.extreme_sheets import softest_and_stiffest_sheets
 from palmfield.skin.materials.catalogue import CATALOGUE
 from palmfield.skin.materials.material import Material
 

@@ -6,7 +6,7 @@ from .endless import half_space as half_space
 from .fem.wedge_stepper import WedgeStepper as WedgeStepper
 from .materials.catalogue import CATALOGUE as CATALOGUE
 from .materials.catalogue import preset as preset
-from .materials.catalogue import softest_and_stiffest as softest_and_stiffest
+from .materials.extremes import softest_and_stiffest as softest_and_stiffest
 from .materials.material import Branch as Branch
 from .materials.material import Material as Material
 from .materials.material import kelvin_voigt as kelvin_voigt

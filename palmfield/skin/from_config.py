@@ -7,7 +7,7 @@ import scipy  # loads its submodules at first use
 from palmfield.config.skin import ENDLESS, OVERRIDES, SkinConfig
 from palmfield.errors import SceneError
 from palmfield.skin.base import Base, Springs
-from palmfield.skin.materials.catalogue import CATALOGUE, preset, softest_and_stiffest
+from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, shear_wave
 from palmfield.skin.materials.sheet import Sheet
 
@@ -17,28 +17,6 @@ def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:
     if not skin.materials:
         return (Sheet(material_of(skin), 1.0),)
     return tuple(Sheet(preset(name), share) for name, share in zip(skin.materials, skin.shares, strict=True))
-
-
-def softest_and_stiffest_sheets(skin: SkinConfig) -> tuple[tuple[Sheet, ...], tuple[Sheet, ...]] | None:
-    """Return the sheets of a scene with all preset ranges at their low ends, and at their high ends.
-
-    Returns None if no sheet has a range, or if keys of the scene set the material: keys have no range.
-    """
-    if not skin.materials and any(getattr(skin, key) is not None for key in OVERRIDES):
-        return None
-    sheets = sheets_of(skin)
-    names = skin.materials or (skin.material,)
-    ends = [softest_and_stiffest(CATALOGUE[name]) for name in names]
-    if all(end is None for end in ends):
-        return None
-    soft, stiff = (
-        tuple(
-            Sheet(sheet.material if end is None else end[number], sheet.thickness_m)
-            for sheet, end in zip(sheets, ends, strict=True)
-        )
-        for number in (0, 1)
-    )
-    return soft, stiff
 
 
 def slowest(sheets: tuple[Sheet, ...], f_Hz: float) -> Material:

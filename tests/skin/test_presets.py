@@ -14,10 +14,9 @@ from palmfield.skin.materials.catalogue import (
     PRESETS,
     hand_skin,
     preset,
-    scaled,
-    varied,
 )
 from palmfield.skin.materials.dispersion import describe
+from palmfield.skin.materials.extremes import scaled, varied
 from palmfield.skin.materials.material import bulk_from_poisson, complex_shear, shear_wave
 from palmfield.skin.materials.prony_fit import fractional_kelvin_voigt
 

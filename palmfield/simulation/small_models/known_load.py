@@ -19,6 +19,7 @@ from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SkinSpec
 from palmfield.skin.reduction.course import Fade, harmonics, level, periodic
+from palmfield.skin.reduction.load_shapes import load_shapes
 from palmfield.skin.reduction.reduced_stepper import (
     MOST_VECTORS,
     KnownLoad,
@@ -174,8 +175,6 @@ def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
     def make() -> cache.Arrays:
         load, examples = known_load(model, skin, posed)
         with one_blas_thread:
-            from palmfield.skin.reduction.load_shapes import load_shapes
-
             shapes = load_shapes(examples, layer.quadrature.weights, OMITTED)
         del examples  # a third of a gigabyte
         fresh.append(reduced_stepper(layer.system, load, *reads, inputs, *targets, shapes))

@@ -14,6 +14,7 @@ from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.projection import Projection
 from palmfield.skin.reduction.course import Course
+from palmfield.skin.reduction.load_shapes import LoadShapes
 from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.stepper import (
     DeviceModel,
@@ -28,7 +29,6 @@ from palmfield.threads import cores, share
 from palmfield.types import Complex, Float, Float32, Int
 
 if TYPE_CHECKING:
-    from palmfield.skin.reduction.load_shapes import LoadShapes
     from palmfield.skin.reduction.krylov import Krylov
 
 MOST_VECTORS = 400
@@ -282,7 +282,7 @@ def reduced_stepper(
     step_s: float,
     highest_Hz: float,
     tolerance: float,
-    pressures: "LoadShapes | None" = None,
+    pressures: LoadShapes | None = None,
 ) -> ReducedStepper:
     """Return the stepper of a layer for a predicted load, from one real factorisation.
 

@@ -18,7 +18,7 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete
 from palmfield.skin.from_config import material_of
-from palmfield.skin.materials import catalogue
+from palmfield.skin.materials import catalogue, extremes
 from palmfield.skin.materials.material import complex_bulk, complex_shear
 from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.disc import disc_patch
@@ -106,7 +106,7 @@ def test_moduli_and_bounds(gel):
     assert 0.0 < gel.series_error < 0.01
     assert catalogue.preset("palm").series_error == 0.0
     assert abs(shear(s)).max() < gel.shear_instant_Pa
-    twice = catalogue.scaled(gel, 2.0, "twice as stiff")
+    twice = extremes.scaled(gel, 2.0, "twice as stiff")
     assert np.allclose(twice.modulus(s), 2.0 * shear(s), rtol=1e-12)
     assert twice.law == gel.law
     assert replace(gel, exponent=0.4).law != gel.law
