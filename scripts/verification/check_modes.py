@@ -271,8 +271,8 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dic
         f"Written by `python scripts/verification/check_modes.py {command} --write docs/bench/modes.md`, commit "
         f"{commit}, {processor()}, Python {platform.python_version()}.",
         "",
-        "- `:sheets` has the sheets finger_pad, palm and forearm in shares of 0.1, 0.3 and 0.6, with three relaxation",
-        "  laws.",
+        "- `:sheets` has the sheets finger_pad, palm and forearm, with 0.1, 0.3 and 0.6 of the depth, and with three",
+        "  relaxation laws.",
         "- `:contrast` has a sheet of 1 MPa (share 0.05) with low loss on a sheet of 10 kPa with high loss.",
         "- `:shadows` has modes that were made for shadows.",
         "",
