@@ -33,8 +33,8 @@ class ReceivedFocus(NamedTuple):
 def read_focus(line: bytes, offset: Float) -> LiveFocus:
     """Read the focus from a line of JSON with one object.
 
-    Entries of the object: focus_m: three numbers, in the frame of the array or, with position_m and quaternion (w
-    first), in the moving frame that these define in the frame of the array; level: 0 to 1, default 1.
+    focus_m: three numbers [m], in the frame of the array, or in the moving frame that the next two define in it
+    position_m, quaternion (w first): origin and orientation of that frame. level: 0 to 1, default 1
     offset: focus_m for an object without it [m], shape (3,)
     Raises BadLine for other content.
     """

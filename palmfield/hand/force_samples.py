@@ -30,8 +30,8 @@ _stored: dict[str, "SampleMesh"] = {}
 class SampleMesh(NamedTuple):
     """Sample triangles: points [m], shape (v, 3), and corners, shape (n, 3).
 
-    faces, samples, areas: the ARP of a face is a weighted mean over samples; face, sample and weighted face area [m2]
-        of each pair, shape (k,)
+    The ARP of a face is a weighted mean over samples. For each pair of face and sample, shape (k,): faces: number of
+    the face; samples: number of the sample; areas: weighted area of the face [m2]
     """
 
     points: Float

@@ -29,9 +29,10 @@ SHARED = {
 
 @dataclass(frozen=True)
 class WorldKeys:
-    """Keys of a simulation. common: keys of the model; if a key differs between worlds, it has the value of the first
-    world
-    differing: changed values by instance and key, a value for each world"""
+    """Keys of a simulation.
+
+    common: all keys, with the values of the first world. differing: the keys that differ, with a value for each world
+    """
 
     common: dict[str, object]
     differing: dict[str, dict[str, tuple[object, ...]]]

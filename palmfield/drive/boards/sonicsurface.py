@@ -59,7 +59,8 @@ class SonicSurface(Board):
 class BufferedTwin(Twin):
     """Twin of a firmware with two buffers and a byte counter, without reply.
 
-    A swap *exchanges* the buffers. So after a short frame the missing addresses play their values of two frames before.
+    The end of a frame exchanges the buffers. So if a frame has fewer bytes than transducers, the other transducers play
+    their values of two frames before.
     Data beyond 256 bytes is flagged and dropped, because the reaction of the board is undefined.
     """
 

@@ -78,7 +78,7 @@ class SkinSystem:
         return self.order.value
 
     def scaled_by(self, other: "SkinSystem") -> list[float] | None:
-        """Return the factors that convert mass, damping, elastic and part to those of another material.
+        """Return the factors by which the matrices mass, damping, elastic and parts differ for another material.
 
         other: system of the other material on the same mesh
         Returns None if more than the material differs, or if several materials, springs or dashpots contribute.

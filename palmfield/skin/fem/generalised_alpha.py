@@ -53,7 +53,7 @@ class Scheme:
     A state S has r rows of n numbers: displacement u [m], velocity v [m/s], acceleration a [m/s^2] and the internal
     displacement q [m] of every branch of every part. The displacement x at the end of a step solves
     (sum over terms of coefficient * matrix) @ x
-        = (1 - alpha_f) force_end + alpha_f force_start + sum over terms of matrix @ (row @ S),
+        = (1 - alpha_f) force_end + alpha_f force_start + sum over terms of matrix @ (row @ S).
     The new state is advance @ S + follow x.
 
     step_s [s], rho_inf: as for WedgeStepper; state_rows: r; terms: only non-zero matrices.
