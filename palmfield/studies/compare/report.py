@@ -26,7 +26,7 @@ class Comparison:
     """Comparison of a measured scan with the skin of a run.
 
     measured, skin: their names; quantity: measured quantity; place: position of the scan on the skin
-    near: which points are close enough to compare, shape (points,), bool; computed: scan by palmfield at the near points
+    near: which points are close enough to compare, shape (points,), bool; computed: scan by palmfield at the near ones
     numbers: numbers of the near points; bare: no instrument was given; cut_s: part of the scan after the run's end [s]
     most_delay_s: range of the delay search; doubts: likely faults, in sentences
     modes: fits of the guided mode at mode_Hz, measured and computed, if requested
