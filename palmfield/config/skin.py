@@ -17,6 +17,8 @@ SPRINGS = ("base_normal_Pa_m", "base_tangential_Pa_m", "base_normal_Pa_s_m", "ba
 WHOLE_HISTORY = ("axisymmetric", "lateral_waves")
 """Solvers that need the whole load history in advance, so that a scene cannot use them."""
 Solver = Literal["auto", "wedges", "reduced", "modal", "spectral_elements", "particles"]
+NOT_LINEAR = ("particles",)
+"""Solvers whose motions under two loads do not add up."""
 SKIN_SOLVERS = "palmfield.skin_solvers"
 """Entry points of other packages: name of a solver -> maker of a `palmfield.skin.explicit_layer.ExplicitLayer`."""
 OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
@@ -227,8 +229,10 @@ class SkinConfig(Config):
             raise ValueError(f"base '{self.base}' is tissue without end, but shape 'cylinder' has a bone: use bonded")
         self._check_sheets()
         self._check_receptors()
-        if self.inertia == "on" and self.solver == "particles":
-            raise ValueError("inertia 'on' adds two motions, but solver 'particles' is not linear: set another solver")
+        if self.inertia == "on" and self.solver in NOT_LINEAR:
+            raise ValueError(
+                f"inertia 'on' adds two motions, but solver '{self.solver}' is not linear: set another solver"
+            )
         if self.inertia == "on" and self.base in ENDLESS:
             raise ValueError(f"inertia 'on' needs bone below the layer, but base is '{self.base}': set base to bonded")
         if self.obstacles and self.body_sound != "shadows":

@@ -71,9 +71,13 @@ class Curve:
 
     def __call__(self, time_s: float) -> HandPose:
         """Return the pose at a time [s]."""
-        n, x, length = self._place(time_s)
+        time = min(max(float(time_s), self.span_s[0]), self.span_s[1])
+        n = min(max(bisect_right(self._knots, time) - 1, 0), len(self._knots) - 2)
+        x, length = time - self._knots[n], self._knots[n + 1] - self._knots[n]
         s = x / length
-        values = _value(self._coefficients[:, n], x)
+        values, *others = self._coefficients[:, n]
+        for coefficient in others:
+            values = values * x + coefficient
         # Bernstein polynomials of the third order, summed from the end.
         shares = 1.0 - (1.0 - s) ** 3, s * s * (3.0 - 2.0 * s), s**3
         if self.smooth:
@@ -82,17 +86,13 @@ class Curve:
         angles = dict(zip(self._joints, values[3:].tolist(), strict=True))
         return HandPose(values[:3], np.array(turned), angles)
 
-    def _place(self, time_s: float) -> tuple[int, float, float]:
-        """Return the interval of a time [s], the time since its beginning [s], and its length [s]."""
-        time = min(max(float(time_s), self.span_s[0]), self.span_s[1])
-        n = min(max(bisect_right(self._knots, time) - 1, 0), len(self._knots) - 2)
-        return n, time - self._knots[n], self._knots[n + 1] - self._knots[n]
-
     def rates(self, time_s: float) -> HandRates:
         """Return the analytic derivatives of a smooth curve at a time [s]; 0 outside the span."""
-        pose, (n, x, length) = self(time_s), self._place(time_s)
+        pose = self(time_s)
         if not self.span_s[0] < time_s < self.span_s[1]:
             return HandRates(FrameRates.at_rest(), pose.angles_deg, {}, {})
+        n = bisect_right(self._knots, time_s) - 1
+        x, length = time_s - self._knots[n], self._knots[n + 1] - self._knots[n]
         first = _derivative(self._coefficients[:, n])
         speeds, accelerations = _value(first, x), _value(_derivative(first), x)
         frame = FrameRates.at_rest()

@@ -274,8 +274,8 @@ def test_unloaded_energy_never_grows_on_a_foundation(step_s, nodal_stepper):
 
 
 def test_bad_input():
-    with pytest.raises(SceneError, match="degree is 0"):
-        Foundation((Sheet(ECOFLEX, 0.01),), degree=0)
+    with pytest.raises(SceneError, match="degree is -1"):
+        Foundation((Sheet(ECOFLEX, 0.01),), degree=-1)
     with pytest.raises(SceneError, match="base is 'glued'"):
         Foundation((Sheet(ECOFLEX, 0.01),), "glued")
     with pytest.raises(SceneError, match="1 sheets above, 0 below"):
