@@ -87,7 +87,7 @@ def _below(skin: SkinModel) -> list[Bias]:
     if moved is None:
         return []
     changes = {name: factor - 1.0 for name, factor in moved.items()}
-    each = ", ".join(f"{name} {100.0 * change:+.2g} %" for name, change in changes.items())
+    each = ", ".join(f"{name} {100.0 * change:+.0f} %" for name, change in changes.items())
     why = f"by key base, now {skin.spec.config.base}: {each}; for an infinite flat layer"
     return [Bias("tissue below the layer", min(0.0, *changes.values()), max(0.0, *changes.values()), why)]
 

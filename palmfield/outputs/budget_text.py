@@ -104,7 +104,7 @@ def bias_text(low: float, high: float) -> str:
         return "0 %"
     if low == -high:
         return f"+- {100 * high:.2g} %"
-    ends = [f"{100 * end:+.2g}" if end else "0" for end in (low, high)]
+    ends = [("+" if end > 0.0 else "") + figures(100 * end, 1.0) if end else "0" for end in (low, high)]
     return f"{ends[0]} to {ends[1]} %"
 
 

@@ -1,12 +1,14 @@
 """The bands that depth and base of a layer leave of a displacement, against finite elements with others."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
 from half_space import impedance
 
 import palmfield
-from palmfield.estimate.numerics.base_band import responses
+from palmfield.estimate.numerics.base_band import base_band, responses
 from palmfield.estimate.numerics.depth_band import depth_band
 from palmfield.estimate.numerics.point_response import Response
 from palmfield.outputs.summary_table import format_summary
@@ -83,3 +85,10 @@ def test_a_run_has_the_band_of_bases_by_name(small_scene):
     found = summary["skins"][0]["error_budget"]["left_out"]
     (below,) = [one for one in found if one["what"] == "tissue below the layer"]
     assert below["low"] == 0.0 < below["high"] and "muscle +" in below["why"]
+
+
+def test_below_a_finger_there_is_no_muscle():
+    scene = Path(__file__).parents[2] / "mjcf" / "scenes" / "palm_and_fingertip.xml"
+    palm, fingertip = (base_band(skin.layer) for skin in palmfield.Simulation(scene).runtime.model.skins)
+    assert set(palm) == {"bonded", "deep", "muscle"} and set(fingertip) == {"bonded", "deep"}
+    assert palm["bonded"] == fingertip["bonded"] == 1.0 < palm["deep"] < fingertip["deep"]

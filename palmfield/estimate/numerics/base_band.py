@@ -17,7 +17,7 @@ from palmfield.skin.scene_layer import SceneLayer
 from palmfield.types import Complex, Float
 
 ALTERNATIVES = ("bonded", *ENDLESS)
-"""Bases between which tissue below a layer lies, by key `base`."""
+"""Bases between which tissue below a layer lies, by key `base`; muscle is the last."""
 PANELS, POINTS = 16, 8
 """Panels of wavenumbers, growing geometrically, and Gauss points in each."""
 
@@ -26,7 +26,7 @@ def base_band(layer: SceneLayer) -> dict[str, float] | None:
     """Return the displacement under a spot on each of ALTERNATIVES, relative to the base of the layer.
 
     The depth is that at the middle of the layer; the response is the sum at rest and at the main frequency. None for a
-    disc or cylinder, a free base, springs and key foundation_normal_Pa_m.
+    disc or cylinder, a free base, springs and key foundation_normal_Pa_m. Below fingers there is no muscle.
     """
     config, patch, demand = layer.config, layer.patch, layer.demand
     shapes = (*OF_SHAPES["hand"], *OF_SHAPES["mesh"])
@@ -34,11 +34,18 @@ def base_band(layer: SceneLayer) -> dict[str, float] | None:
         return None
     own = float(patch.depth[np.linalg.norm(patch.vertices - layer.centre_m, axis=1).argmin()])
     sheets = [Sheet(sheet.material, own * sheet.thickness_m) for sheet in layer.sheets]
-    names = dict.fromkeys((config.base, *ALTERNATIVES))
+    others = ALTERNATIVES[:-1] if config.shape in OF_SHAPES["hand"] and _on_finger(layer) else ALTERNATIVES
+    names = dict.fromkeys((config.base, *others))
     bases = [base_of(config.model_copy(update={"base": name}), layer.sheets) for name in names]
     still, moving = (responses(sheets, demand.spot_fwhm_m, f, bases) for f in (0.0, demand.main_frequency_Hz))
     of = dict(zip(names, still + moving, strict=True))
-    return {name: float(of[name] / of[config.base]) for name in ALTERNATIVES}
+    return {name: float(of[name] / of[config.base]) for name in others}
+
+
+def _on_finger(layer: SceneLayer) -> bool:
+    from palmfield.hand.regions import part_of, region_at  # a plan does not load the labels of hands
+
+    return part_of(region_at(layer.config.hand, layer.centre_m)) in ("finger", "fingertip")
 
 
 def responses(sheets: Sequence[Sheet], fwhm_m: float, f_Hz: float, bases: Sequence[Base]) -> Float:
