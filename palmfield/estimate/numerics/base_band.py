@@ -9,6 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from palmfield.config.skin import ENDLESS, OF_SHAPES
+from palmfield.hand.preset import DIGITS, load_preset
+from palmfield.hand.surface import bone_distance, centred_skeleton
 from palmfield.skin.base import Base, Foundation
 from palmfield.skin.fem.depth import condensed, impedance, on_impedance
 from palmfield.skin.from_config import base_of
@@ -43,9 +45,11 @@ def base_band(layer: SceneLayer) -> dict[str, float] | None:
 
 
 def _on_finger(layer: SceneLayer) -> bool:
-    from palmfield.hand.regions import part_of, region_at  # a plan does not load the labels of hands
-
-    return part_of(region_at(layer.config.hand, layer.centre_m)) in ("finger", "fingertip")
+    """Return whether the bone nearest to the middle of a layer on a hand is that of a finger."""
+    bones = centred_skeleton(load_preset(layer.config.hand)).bones
+    nearest = min(bones, key=lambda bone: float(bone_distance(layer.centre_m[None], [bone])[0]))
+    digit, _, part = nearest.name.partition("_")
+    return digit in DIGITS and part != "metacarpal"
 
 
 def responses(sheets: Sequence[Sheet], fwhm_m: float, f_Hz: float, bases: Sequence[Base]) -> Float:
