@@ -1,5 +1,7 @@
 """Spikes of the afferents of a result, from the recorded motion at their endings."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import xarray as xr
 
@@ -22,8 +24,8 @@ def spikes_of(skin: xr.Dataset) -> dict[str, tuple[Float, Int]]:
     return result
 
 
-def mean_rates(skin: xr.Dataset) -> Float:
-    """Return the mean rate of each afferent over the run [spikes/s], shape (n,). skin: as for `spikes_of`"""
+def mean_rates(skin: xr.Dataset, fired: Mapping[str, tuple[Float, Int]]) -> Float:
+    """Return the mean rate of each afferent over the run [spikes/s], shape (n,). fired: spikes by `spikes_of`"""
     lasts_s = float(skin["time"].values[-1] - skin["time"].values[0])
-    fired = np.concatenate([numbers for _, numbers in spikes_of(skin).values()])
-    return np.bincount(fired, minlength=skin.sizes["afferent"]) / lasts_s
+    numbers = np.concatenate([numbers for _, numbers in fired.values()])
+    return np.bincount(numbers, minlength=skin.sizes["afferent"]) / lasts_s

@@ -109,12 +109,17 @@ def _under_probe(depth_m: ArrayLike, radius_m: float, distance_m: ArrayLike) -> 
     return z, place, np.sqrt(r**2 + place**2)
 
 
+def under_probe(afferent: Afferent, radius_m: float, distance_m: ArrayLike) -> Float:
+    """Return the motion that drives a class, `probe_strain` or `probe_displacement` at its depth."""
+    of_probe = probe_strain if afferent.quantity == "strain" else probe_displacement
+    return of_probe(afferent.depth_m, radius_m, distance_m)
+
+
 @cache
 def largest_under_probe(afferent: Afferent, radius_m: float = PROBE_M) -> float:
     """Return the largest compression [1/m] or displacement at the depth of a class under a probe, over that of the
     probe: a receptive field is probed where it is most sensitive."""
-    of_probe = probe_strain if afferent.quantity == "strain" else probe_displacement
-    return float(of_probe(afferent.depth_m, radius_m, np.linspace(0.0, 2.0 * radius_m, 401)).max())
+    return float(under_probe(afferent, radius_m, np.linspace(0.0, 2.0 * radius_m, 401)).max())
 
 
 def potentials(afferent: Afferent, motion: ArrayLike, step_s: float) -> tuple[Float, float]:

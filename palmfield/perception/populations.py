@@ -20,7 +20,7 @@ from palmfield.perception.afferents import (
     Afferent,
     largest_under_probe,
     potentials,
-    probe_displacement,
+    under_probe,
 )
 from palmfield.perception.observers import OBSERVERS, threshold_m
 from palmfield.types import Float
@@ -86,7 +86,7 @@ def pc_criterion() -> float:
     course = np.sin(2.0 * np.pi * CONTACT_Hz * periods)[:, None]
     level, _ = potentials(pc, course, float(periods[1]))
     per_metre = float(level[len(level) // 2 :].max())
-    moved = probe_displacement(pc.depth_m, radius, distance) / largest_under_probe(pc, PROBE_M)
+    moved = under_probe(pc, radius, distance) / largest_under_probe(pc)
     levels = per_metre * threshold * moved
     density_per_m2 = 1e4 * DENSITIES_PER_CM2["palm"]["pc"]
     return math.sqrt(density_per_m2 * float(np.trapezoid(levels**2 * 2.0 * np.pi * distance, distance)))

@@ -9,9 +9,11 @@ from scipy import sparse
 from palmfield.config.skin import OF_SHAPES, SkinConfig
 from palmfield.errors import SceneError
 from palmfield.hand.regions import part_of, regions_at
+from palmfield.hand.triangles import face_samples
 from palmfield.perception.afferents import AFFERENTS, largest_under_probe
 from palmfield.perception.populations import DENSITIES_PER_CM2
 from palmfield.skin.fem.below_surface import below_surface
+from palmfield.skin.mesh.element import barycentric
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.types import Float
 
@@ -35,10 +37,8 @@ def innervation_of(layer: SceneLayer) -> Innervation:
     """
     mesh, config = layer.mesh, layer.config
     corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
-    areas_cm2 = (
-        1e4 * 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    )
-    densities = _densities(config, corners.mean(axis=1))
+    centroids, _, areas_m2 = face_samples(mesh.nodes, mesh.surface_triangles6[:, :3])
+    areas_cm2, densities = 1e4 * areas_m2, _densities(config, centroids)
     random = np.random.default_rng(config.receptor_seed)
     names, positions, operators = [], [], []
     for number, (name, afferent) in enumerate(AFFERENTS.items()):
@@ -53,8 +53,7 @@ def innervation_of(layer: SceneLayer) -> Innervation:
             moved, pressed = below_surface(mesh, layer.system, triangles, local, depth_m)
         chosen = pressed if afferent.quantity == "strain" else moved
         names.append(np.full(count, name))
-        shares = np.column_stack([1.0 - local.sum(axis=1), local])
-        positions.append(np.einsum("pi,pic->pc", shares, corners[triangles]))
+        positions.append(np.einsum("pi,pic->pc", barycentric(local), corners[triangles]))
         operators.append(chosen / largest_under_probe(afferent))
     if not names:
         with layer.named:
@@ -73,7 +72,7 @@ def _densities(config: SkinConfig, points: Float) -> Float:
             setting="receptor_densities_per_cm2",
         )
     parts = [part_of(region) for region in regions_at(config.hand, points)]
-    if None in parts and set(parts) == {None}:
+    if set(parts) == {None}:
         raise SceneError(
             "no densities are known for hairy skin: put patch_site on the palm or a finger, or give the three "
             f"densities of {', '.join(AFFERENTS)}",

@@ -21,16 +21,14 @@ from palmfield.perception.afferents import (
     Afferent,
     largest_under_probe,
     potentials,
-    probe_displacement,
-    probe_strain,
     spikes,
+    under_probe,
 )
 from palmfield.perception.observers import OBSERVERS, threshold_m
-from palmfield.perception.populations import DENSITIES_PER_CM2, REACH_M, class_level_dB
+from palmfield.perception.populations import DENSITIES_PER_CM2, REACH_M, CONTACT_m2, class_level_dB
 from palmfield.types import Complex, Float
 
 STEP_S = 1.25e-4
-CONTACT_M2 = 2.9e-4
 BEGIN = {
     "sa1": (0.03, 20.0, 5e-3),
     "ra1": (1.0, 30.0, 10.0, 3e-3),
@@ -97,11 +95,10 @@ def plateau_dB(afferent: Afferent, f_Hz: float) -> tuple[int, int] | None:
 
 def contact_level_dB(name: str, f_Hz: float) -> float:
     """Return the level of a class of the palm under the contactor, at the threshold of people."""
-    afferent, radius = AFFERENTS[name], math.sqrt(CONTACT_M2 / math.pi)
+    afferent, radius = AFFERENTS[name], math.sqrt(CONTACT_m2 / math.pi)
     count = round(1e4 * DENSITIES_PER_CM2["palm"][name] * math.pi * REACH_M**2)
     distances = REACH_M * np.sqrt((np.arange(count) + 0.5) / count)
-    of_probe = probe_strain if afferent.quantity == "strain" else probe_displacement
-    shares = np.abs(of_probe(afferent.depth_m, radius, distances)) / largest_under_probe(afferent)
+    shares = np.abs(under_probe(afferent, radius, distances)) / largest_under_probe(afferent)
     peak = float(threshold_m(OBSERVERS["bolanowski_1988"], f_Hz))
     return class_level_dB(name, peak / model_threshold_m(afferent, f_Hz) * shares)
 

@@ -45,7 +45,10 @@ def base_band(layer: SceneLayer) -> dict[str, float] | None:
 
 
 def _on_finger(layer: SceneLayer) -> bool:
-    """Return whether the bone nearest to the middle of a layer on a hand is that of a finger."""
+    """Return whether the bone nearest to the middle of a layer on a hand is that of a finger.
+
+    `palmfield.hand.regions` would need the labels of the whole surface, which a plan does not compute.
+    """
     bones = centred_skeleton(load_preset(layer.config.hand)).bones
     nearest = min(bones, key=lambda bone: float(bone_distance(layer.centre_m[None], [bone])[0]))
     digit, _, part = nearest.name.partition("_")

@@ -8,7 +8,7 @@ import xarray as xr
 from pxr import Sdf, Usd, UsdGeom
 
 from palmfield.hand.triangles import vertex_areas
-from palmfield.outputs.afferents import mean_rates
+from palmfield.outputs.afferents import mean_rates, spikes_of
 from palmfield.outputs.levels import LevelCourse
 from palmfield.outputs.motion import PIECE_BYTES
 from palmfield.outputs.schema import has_records
@@ -100,7 +100,7 @@ def add_afferents(stage: Usd.Stage, path: str, skin: xr.Dataset) -> None:
     classes = UsdGeom.PrimvarsAPI(points).CreatePrimvar("afferent_class", Sdf.ValueTypeNames.TokenArray, "vertex")
     classes.Set(skin["afferent_class"].values.tolist())
     add_primvar(points.GetPrim(), "mean_rate", "s-1", "spikes per second over the run", {}).Set(
-        floats(mean_rates(skin))
+        floats(mean_rates(skin, spikes_of(skin)))
     )
 
 

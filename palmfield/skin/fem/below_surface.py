@@ -5,7 +5,7 @@ from scipy import sparse
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.mesh.element import corner_slopes, displacement_shape, triangle_shape
+from palmfield.skin.mesh.element import CORNERS, barycentric, corner_slopes, displacement_shape, triangle_shape
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.types import Float, Int
 
@@ -20,8 +20,7 @@ def below_surface(
     Raises SceneError for a layer that is not deeper than this at one of the points.
     """
     columns = mesh.nodes.reshape(mesh.levels, mesh.surface_nodes, 3)[::2, mesh.surface_triangles6[triangles, :3]]
-    shares = np.column_stack([1.0 - local.sum(axis=1), local])
-    line = np.einsum("pi,lpic->plc", shares, columns)
+    line = np.einsum("pi,lpic->plc", barycentric(local), columns)
     normals = np.einsum("pi,pic->pc", triangle_shape(local), mesh.surface_normals()[mesh.surface_triangles6[triangles]])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     depths = np.einsum("plc,pc->pl", line[:, :1] - line, normals)
@@ -34,7 +33,7 @@ def below_surface(
     points = np.column_stack([local, 1.0 - 2.0 * (depth_m - above) / (below - above)])
     elements = mesh.elements[row * len(mesh.surface_triangles6) + triangles]
     values, slopes = displacement_shape(points)
-    jacobian = np.einsum("pai,paj->pij", mesh.nodes[elements[:, [0, 1, 2, 12, 13, 14]]], corner_slopes(points))
+    jacobian = np.einsum("pai,paj->pij", mesh.nodes[elements[:, CORNERS]], corner_slopes(points))
     gradients = np.einsum("pad,pdi->pai", slopes, np.linalg.inv(jacobian))
     along = np.einsum("pai,pi->pa", gradients, normals)
     columns_of = (3 * elements[..., None] + np.arange(3)).ravel()

@@ -18,6 +18,8 @@ import numpy as np
 from palmfield.types import Float
 
 EDGES = np.array([[0, 1], [1, 2], [2, 0]])
+CORNERS = [0, 1, 2, 12, 13, 14]
+"""Nodes of a wedge that define its geometry, in the order of `corner_slopes`."""
 
 
 def triangle_rule() -> tuple[Float, Float]:
@@ -30,13 +32,13 @@ def triangle_rule() -> tuple[Float, Float]:
 
 def triangle_shape(points: Float) -> Float:
     """Return the values of the six quadratic shape functions at points (q, 2); shape (q, 6)."""
-    b = _barycentric(points)
+    b = barycentric(points)
     return np.concatenate([b * (2 * b - 1), 4 * b[:, EDGES[:, 0]] * b[:, EDGES[:, 1]]], axis=1)
 
 
 def triangle_slopes(points: Float) -> Float:
     """Return the derivatives of the six functions by (xi, eta) at points (q, 2), shape (q, 6, 2)."""
-    b = _barycentric(points)
+    b = barycentric(points)
     db = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
     vertex = (4 * b - 1)[:, :, None] * db
     i, j = EDGES.T
@@ -44,7 +46,8 @@ def triangle_slopes(points: Float) -> Float:
     return np.concatenate([vertex, edge], axis=1)
 
 
-def _barycentric(points: Float) -> Float:
+def barycentric(points: Float) -> Float:
+    """Return the shares of the three corners at points (q, 2), shape (q, 3)."""
     return np.column_stack([1.0 - points.sum(axis=1), points])
 
 
@@ -70,7 +73,7 @@ def corner_slopes(points: Float) -> Float:
     line = np.column_stack([(1 - z) / 2, (1 + z) / 2])
     line_slope = np.broadcast_to([-0.5, 0.5], line.shape)
     slopes = np.broadcast_to([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]], (len(points), 3, 2))
-    return _product(_barycentric(points[:, :2]), slopes, line, line_slope)[1]
+    return _product(barycentric(points[:, :2]), slopes, line, line_slope)[1]
 
 
 def _product(flat: Float, flat_slopes: Float, line: Float, line_slope: Float) -> tuple[Float, Float]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from palmfield.errors import SceneError
 from palmfield.hand.triangles import directed_edges
-from palmfield.skin.mesh.element import EDGES, corner_slopes, prism_rule
+from palmfield.skin.mesh.element import CORNERS, EDGES, corner_slopes, prism_rule
 from palmfield.types import Float, Int, Patch
 
 
@@ -131,7 +131,7 @@ def _check_volumes(nodes: Float, elements: Int) -> None:
     """
     corner_points = [[x, y, z] for z in (-1.0, 1.0) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))]
     slopes = corner_slopes(np.concatenate([prism_rule()[0], corner_points]))
-    corners = nodes[elements[:, [0, 1, 2, 12, 13, 14]]]
+    corners = nodes[elements[:, CORNERS]]
     jacobian = np.einsum("mai,qaj->mqij", corners, slopes)
     scale = np.prod(np.linalg.norm(jacobian, axis=2), axis=2)
     shape = np.divide(np.linalg.det(jacobian), scale, out=np.zeros_like(scale), where=scale > 0.0).min(axis=1)

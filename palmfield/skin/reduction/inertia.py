@@ -12,7 +12,7 @@ from palmfield import cache
 from palmfield.blas import one_blas_thread
 from palmfield.motion.rates import PAIRS
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.mesh.element import corner_slopes, displacement_shape, prism_rule
+from palmfield.skin.mesh.element import CORNERS, corner_slopes, displacement_shape, prism_rule
 from palmfield.skin.projection import Projection
 from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.reduction.reducer import reduce
@@ -22,7 +22,6 @@ HIGHEST_Hz, TOLERANCE = 200.0, 1e-3
 """Highest frequency at which the model must be right, far above that of hands, and its relative error up to there."""
 LINES = 8
 """Number of frequencies at which models of two sizes are compared."""
-CORNERS = [0, 1, 2, 12, 13, 14]
 FIELDS = 3 + 3 + len(PAIRS)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from palmfield.outputs.afferents import spikes_of
+from palmfield.outputs.afferents import mean_rates, spikes_of
 from palmfield.outputs.pictures.options import Kind, Options, chosen_skin, limits_of
 from palmfield.outputs.skin_view import view_of_skin
 
@@ -19,15 +19,13 @@ def receptors(result: xr.DataTree, options: Options) -> Figure:
     # Exact for a body in one piece, and the mean for one that bends
     turn = np.linalg.lstsq(np.column_stack([rest, np.ones(len(rest))]), view.vertices, rcond=None)[0]
     places = 1e3 * (np.column_stack([skin["afferent_position"].values, np.ones(len(classes))]) @ turn)[:, :2]
-    fired, lasts_s = spikes_of(skin), float(times[-1] - times[0])
-    rates = {
-        one: np.bincount(units, minlength=len(classes))[classes == one] / lasts_s for one, (_, units) in fired.items()
-    }
-    low, high = limits_of(options, 0.0, max(1.0, *(float(rate.max()) for rate in rates.values())))
+    fired = spikes_of(skin)
+    rates = mean_rates(skin, fired)
+    low, high = limits_of(options, 0.0, max(1.0, float(rates.max())))
     figure = Figure(figsize=(0.8 + 3.6 * len(fired), 6.4), layout="constrained")
     axes = figure.subplots(2, len(fired), squeeze=False, height_ratios=(3, 2))
     for (one, (moments, units)), on_skin, over_time in zip(fired.items(), *axes, strict=True):
-        own, rate = places[classes == one], rates[one]
+        own, rate = places[classes == one], rates[classes == one]
         active = rate > 0.0
         on_skin.plot(*own[~active].T, ".", ms=2, color="0.75")
         points = on_skin.scatter(*own[active].T, c=rate[active], s=14, cmap="cividis", vmin=low, vmax=high)
