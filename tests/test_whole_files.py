@@ -40,7 +40,7 @@ def test_a_table_that_does_not_fit_leaves_the_one_before(tmp_path, name):
         "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
         "write_table(Path(sys.argv[1]), ['a'], np.random.default_rng(1).random((5000, 1)))\n"
     )
-    done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-B", "-c", code, str(file)], capture_output=True, text=True, check=False)
     assert "OutputError" in done.stderr and "cannot write" in done.stderr
     assert file.read_bytes() == before and os.listdir(tmp_path) == [name]
 
