@@ -5,9 +5,9 @@ python scripts/make_hand_mjcf.py [PRESET ...]    default: open_men_p50
 
 import sys
 
+from hands.preset_mjcf import articulated_mjcf, hand_mjcf
+
 from palmfield.data import folder
-from palmfield.hand.articulated_mjcf import articulated_mjcf
-from palmfield.hand.mjcf import hand_mjcf
 from palmfield.hand.preset import load_preset
 
 for name in sys.argv[1:] or ["open_men_p50"]:

@@ -10,14 +10,22 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
-from palmfield.hand.articulated_mjcf import DIGITS_IN_FILE, ARMATURE_kg_m2
 from palmfield.hand.chirality import Chirality, chirality, fingers_direction
 from palmfield.hand.joint_tree import ancestors, named_side
-from palmfield.hand.mjcf import VIEW_GROUP, DENSITY_kg_m3, HEIGHT_m
-from palmfield.hand.mjcf_text import SKIN_RGBA, file_text, numbers_text
+from palmfield.hand.mjcf_text import (
+    DIGITS_IN_FILE,
+    SKIN_RGBA,
+    VIEW_GROUP,
+    ARMATURE_kg_m2,
+    DENSITY_kg_m3,
+    HEIGHT_m,
+    SkinBone,
+    add_skin,
+    file_text,
+    numbers_text,
+)
 from palmfield.hand.rigged import RiggedMesh
 from palmfield.hand.triangles import volume
-from palmfield.hand.visual_skin import SkinBone, add_skin
 from palmfield.types import Float, Int
 
 SWING_Hz = 25.0
@@ -49,7 +57,7 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
 
     Each joint has a body of its name, at its position and parallel to the axes of the file; further joints without a
     parent are attached to the first one. The first body is free, and a soft weld attaches it to the mocap body
-    `hand_target`, as in `palmfield.hand.articulated_mjcf.articulated_mjcf`. A joint is a ball joint of its name if it
+    `hand_target`, as in the articulated hands of palmfield. A joint is a ball joint of its name if it
     and one of its ancestors carry skin; its spring pulls to the pose of the file with natural frequency SWING_Hz and
     critical damping. Other joints are rigid, because their bodies have no mass. Capsules along the bones go to the next
     joints that carry skin; their radius is the median distance of the skin from the bone. Their total mass is the

@@ -16,7 +16,7 @@ class HandPose:
     """A hand in the world.
 
     position: position of the hand frame, the frame of the hand at rest (that of mocap body `hand_target` in
-        `articulated_mjcf`) [m], shape (3,)
+        an articulated hand) [m], shape (3,)
     quaternion: orientation of the hand frame, w first, unit length, shape (4,)
     angles_deg: joint angles by name [deg]; other joints are at rest
     """

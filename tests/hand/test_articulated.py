@@ -2,12 +2,12 @@ import mujoco
 import numpy as np
 import pytest
 from mjcf_files import assert_same_file
+from preset_mjcf import articulated_mjcf
 from scipy.spatial.transform import Rotation
 
 from palmfield.data import folder
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import articulate, bone_poses, checked_angles, posed_landmark
-from palmfield.hand.articulated_mjcf import articulated_mjcf
 from palmfield.hand.preset import DIGITS, load_preset, mirrored, preset_names
 
 MEN = load_preset("open_men_p50")

@@ -2,9 +2,9 @@ import mujoco
 import numpy as np
 import pytest
 from mjcf_files import assert_same_file
+from preset_mjcf import hand_mjcf
 
 from palmfield.data import folder
-from palmfield.hand.mjcf import hand_mjcf
 from palmfield.hand.preset import DIGITS, load_preset
 from palmfield.hand.surface import hand_surface
 

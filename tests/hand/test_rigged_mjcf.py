@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
-from palmfield.hand.mjcf import DENSITY_kg_m3
+from palmfield.hand.mjcf_text import DENSITY_kg_m3
 from palmfield.hand.preset import load_preset, mirrored
 from palmfield.hand.rigged import Joints, RiggedMesh, joint_of_body, strongest
 from palmfield.hand.rigged_mjcf import rigged_mjcf

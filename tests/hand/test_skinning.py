@@ -1,11 +1,11 @@
 import mujoco
 import numpy as np
 import pytest
+from preset_mjcf import articulated_mjcf
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import bone_poses
-from palmfield.hand.articulated_mjcf import articulated_mjcf
 from palmfield.hand.preset import load_preset, mirrored
 from palmfield.hand.skinning import SkinnedHand, SMOOTHING_m
 from palmfield.hand.triangles import vertex_normals

@@ -3,9 +3,9 @@
 import mujoco
 import numpy as np
 import pytest
+from preset_mjcf import articulated_mjcf
 
 from palmfield.data import folder
-from palmfield.hand.articulated_mjcf import articulated_mjcf
 from palmfield.hand.preset import load_preset, mirrored
 from palmfield.hand.skinning import SkinnedHand
 
