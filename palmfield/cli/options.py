@@ -1,12 +1,16 @@
 """Options that several commands share, and their evaluation."""
 
 import logging
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from palmfield.errors import SceneError
+
+if TYPE_CHECKING:
+    from palmfield.motion.live_hand import Live
 
 LOG = logging.getLogger("palmfield.cli")
 UNSET = "unset"
@@ -48,6 +52,7 @@ Device = Annotated[
         metavar="DEVICE",
     ),
 ]
+Align = Annotated[Path | None, typer.Option(help="with --live: pose of the tracker, file of `palmfield track align`")]
 Accuracy = Annotated[
     float | None,
     typer.Option(help="target accuracy: relative error of the skin displacement, e.g. 0.05", metavar="REL"),
@@ -118,3 +123,20 @@ def _file(name: str, value: str) -> str:
         return value
     LOG.info(f"--set {name}: {here.resolve()}, from the current folder")
     return str(here.resolve())
+
+
+def listening_at(text: str | None, align: Path | None) -> "Live | None":
+    """Return the source of samples that `--live` names. Raises SceneError for --align without it."""
+    if text is None:
+        if align is not None:
+            raise SceneError("--align belongs to --live: a scene has key tracking_alignment of palmfield.motion")
+        return None
+    from palmfield.motion.live_hand import Live
+    from palmfield.motion.replaying import address_by
+
+    host, port, by = address_by(text)
+
+    def show_address(host: str, port: int) -> None:
+        print(f"listening for a tracker at {host}:{port} by {by}", file=sys.stderr, flush=True)
+
+    return Live(host, port, by, align, on_listening=show_address)

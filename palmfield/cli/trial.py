@@ -1,18 +1,14 @@
 """`palmfield trial`: simulate or run the loop from a tracker to the sound at the hand."""
 
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from palmfield.cli.as_json import print_json
-from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, parsed_keys
+from palmfield.cli.options import Align, AsJson, BoardName, Keys, SceneFile, check_duration, listening_at, parsed_keys
 from palmfield.errors import SceneError
 from palmfield.files import reading, regular
-
-if TYPE_CHECKING:
-    from palmfield.studies.trial import Live
 
 
 def trial(
@@ -40,9 +36,7 @@ def trial(
             metavar="[HOST:]PORT",
         ),
     ] = None,
-    align: Annotated[
-        Path | None, typer.Option(help="with --live: pose of the tracker, file of `palmfield track align`")
-    ] = None,
+    align: Align = None,
     tracker_rate: Annotated[
         float, typer.Option(help="tracker samples per second; 0: one sample for each frame")
     ] = 90.0,
@@ -96,14 +90,12 @@ def trial(
         changed |= motion_keys(motion)
     tracker = Tracker(tracker_rate, 1e-3 * tracker_latency, 1e-3 * tracker_noise, ahead_s=_ahead_s(ahead))
     measured = None if recording is None else read_recording(recording)
-    if align is not None and live is None:
-        raise SceneError("--align belongs to --live: a scene has key tracking_alignment of palmfield.motion")
     if motion is not None and live is not None:
         raise SceneError("--motion and --live both move the hand; give one")
     result = play_trial(
         scene, board=board, port=port, tracker=tracker, keys=changed, duration_s=duration, truth=truth,
         recording=measured, skin=skin, out=out or Path("out") / f"{scene.stem}_trial", overwrite=overwrite,
-        live=None if live is None else listening_at(live, align), progress=not context.obj,
+        live=listening_at(live, align), progress=not context.obj,
     )  # fmt: skip
     if as_json:
         print_json(
@@ -115,19 +107,6 @@ def trial(
             print(f"wrote {path}")
     if result.interrupted:
         raise KeyboardInterrupt
-
-
-def listening_at(text: str, align: Path | None) -> "Live":
-    """Return the source of samples that `--live` names."""
-    from palmfield.motion.replaying import address_by
-    from palmfield.studies.trial import Live
-
-    host, port, by = address_by(text)
-
-    def show_address(host: str, port: int) -> None:
-        print(f"listening for a tracker at {host}:{port} by {by}", file=sys.stderr, flush=True)
-
-    return Live(host, port, by, align, on_listening=show_address)
 
 
 def motion_keys(path: Path) -> dict[str, object]:

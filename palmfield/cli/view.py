@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from palmfield.cli.options import Accuracy, BoardName, Device, Keys, SceneFile, parsed_keys
+from palmfield.cli.options import Accuracy, Align, BoardName, Device, Keys, SceneFile, listening_at, parsed_keys
 from palmfield.errors import SceneError
 
 
@@ -36,6 +36,15 @@ def view(
         float | None, typer.Option(help="pictures per second [default: 15, on a GPU 30]", metavar="HZ")
     ] = None,
     pace: Annotated[str, typer.Option(help="largest speed in simulated seconds per second, or max", metavar="X")] = "1",
+    live: Annotated[
+        str | None,
+        typer.Option(
+            help="follow a tracked hand whose samples arrive at this port, in place of the motion in the scene (see "
+            "`palmfield track`), by UDP or with tcp:[HOST:]PORT by TCP",
+            metavar="[HOST:]PORT",
+        ),
+    ] = None,
+    align: Align = None,
     browser: Annotated[bool, typer.Option("--browser", help="open the page in the default browser")] = False,
 ) -> None:
     """Run a scene and watch it in the browser: hand, array, sound and motion on the skin, level above threshold.
@@ -43,7 +52,9 @@ def view(
     Sliders change focus, modulation, path, level and the pose of the hand. A recording is a result folder like that of
     `palmfield run`. Ctrl-C ends the view. This needs the extra `view`.
 
-    Example: palmfield view mjcf/scenes/palm_am200.xml
+    Examples: palmfield view mjcf/scenes/palm_am200.xml
+
+    palmfield view mjcf/scenes/hover_explore.xml --live 9100
     """
     import webbrowser
 
@@ -66,7 +77,7 @@ def view(
     try:
         show(
             scene, out, device=device, accuracy=accuracy, board=board, keys=changed, modes=modes, host=host,
-            port=port, rate_Hz=rate, pace=_pace_of(pace), on_ready=ready,
+            port=port, rate_Hz=rate, pace=_pace_of(pace), live=listening_at(live, align), on_ready=ready,
         )  # fmt: skip
     finally:
         status.stop()

@@ -2,7 +2,10 @@
 
 import threading
 import time
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,6 +19,7 @@ from palmfield.motion.listening import Arrived, Listener
 from palmfield.motion.pose import HandPose
 from palmfield.motion.prediction import Noise, Predictor
 from palmfield.motion.retarget import RIGID, Bool, Follower, fixes_palm
+from palmfield.motion.source import tracker_frame
 from palmfield.realtime import follower
 from palmfield.transforms import Transform
 from palmfield.types import Float
@@ -152,3 +156,43 @@ class LiveHand(Closing):
         followed = self._follower.follow(positions, valid)
         angles = dict(zip(self._follower.names, followed.angles_deg.tolist(), strict=True))
         return HandPose(followed.position, followed.quaternion, angles)
+
+
+@dataclass(frozen=True)
+class Live:
+    """Source of tracker samples, and pose of the tracker.
+
+    host, port, by: address and protocol of the socket, port 0 for any free one; align: file of `palmfield track
+    align`; None: the origin of
+        the tracker is that of the scene; up: axis of the tracker that points up
+    wait_s: longest wait for the first sample [s]; on_listening: called with the address once the socket listens
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    by: By = "udp"
+    align: Path | None = None
+    up: Literal["y", "z"] = "y"
+    wait_s: float = 30.0
+    on_listening: Callable[[str, int], None] = lambda host, port: None
+
+    def frame(self, array: Transform) -> Transform:
+        """Return the tracker frame in the world. array: frame of the first array. Raises SceneError for a bad file."""
+        return tracker_frame(array, self.align, self.up)
+
+    def follow(self, hand: ArticulatedHand, array: Transform, ahead_s: float = 0.0) -> LiveHand:
+        """Listen, and return the hand that follows the samples. array, ahead_s: as in `frame` and LiveHand.
+
+        Raises SceneError for a bad file, DeviceError for an address at which it cannot listen.
+        """
+        followed = LiveHand(hand, self.frame(array), ahead_s=ahead_s, host=self.host, port=self.port, by=self.by)
+        self.on_listening(followed.listener.host, followed.listener.port)
+        return followed
+
+    def keys(self, name: str, stream: Path, start_s: float) -> dict[str, object]:
+        """Return keys that make the instance `name` follow the samples of the tracker."""
+        own: dict[str, object] = dict.fromkeys(("keyframes", "trajectory", "function"))
+        own |= {"tracking": str(stream.resolve()), "start_s": start_s, "follow": "exact", "tracking_origin_m": None}
+        own["tracking_up"] = None if self.align is not None else self.up
+        own["tracking_alignment"] = None if self.align is None else str(self.align.resolve())
+        return {f"{name}.{key}": value for key, value in own.items()}

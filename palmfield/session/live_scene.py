@@ -1,7 +1,7 @@
 """Place the hand of a scene by the caller instead of its script."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import mujoco
 
@@ -28,13 +28,7 @@ class LiveScene:
         world = world_of(self._data)
         assert world is not None and world.scene is not None
         self.runtime: SceneRuntime = world.scene
-        moving = [one for one in scripts(self._data).items() if one[1].motion.hand is not None]
-        if len(moving) != 1:
-            raise SceneError(
-                f"{view.name} has {len(moving)} instances of plugin 'palmfield.motion' with key hand; a live hand "
-                "needs one"
-            )
-        self.motion, self._module = moving[0]
+        self.motion, self._module = the_articulated(scripts(self._data), view.name)
         script = self._module.motion
         assert script.hand is not None
         self.hand: ArticulatedHand = script.hand
@@ -54,3 +48,14 @@ def scripts(data: mujoco.MjData) -> dict[str, MotionModule]:
     assert world is not None
     names = {number: name for number, _, name in world.model.instances()}
     return {names[number]: one for number, one in world.modules.items() if isinstance(one, MotionModule)}
+
+
+def the_articulated(modules: Mapping[str, MotionModule], name: str) -> tuple[str, MotionModule]:
+    """Return the only module that moves an articulated hand, and its instance. Raises SceneError if there is none or
+    there are several; name: name of the scene."""
+    moving = [one for one in modules.items() if one[1].motion.hand is not None]
+    if len(moving) != 1:
+        raise SceneError(
+            f"{name} has {len(moving)} instances of plugin 'palmfield.motion' with key hand; a live hand needs one"
+        )
+    return moving[0]

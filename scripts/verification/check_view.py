@@ -6,6 +6,7 @@ pictures in place of a browser. Writes docs/bench/view.md:
 
     python scripts/verification/check_view.py                        # the demo on the CPU
     python scripts/verification/check_view.py --device cuda:0        # and on a GPU: another table of the page
+    python scripts/verification/check_view.py mjcf/scenes/hover_explore.xml --live     # a hand from another process
 """
 
 import argparse
@@ -14,17 +15,26 @@ import os
 import platform
 import signal
 import statistics
+import subprocess
+import sys
 import time
+from contextlib import ExitStack
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+import numpy as np
 from page_client import PageClient, is_picture
 
+from palmfield.motion import live_hand
+from palmfield.motion.tracking import write_stream
+from palmfield.session.preview import preview
 from palmfield.studies.bench.table import keep_rows
+from palmfield.studies.trial.latency import scene_stream
 from palmfield.studies.view.link import Link
-from palmfield.studies.view.messages import Address, Notice, Pace
+from palmfield.studies.view.messages import Address, FromSimulation, Moment, Notice, Pace
 from palmfield.studies.view.run import GPU_RATE_Hz, RATE_Hz, SceneSource, ShownScene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -69,15 +79,17 @@ class Measured(NamedTuple):
 
 
 def count_pictures(address: str, talk: Connection) -> None:
-    """The client's process: sends the number of pictures so far whenever it is asked."""
+    """The client's process: sends the number of pictures so far on request, and at the end their times [s]."""
     with PageClient(address) as client:
-        count = 0
+        times: list[float] = []
         while True:
-            count += sum(map(is_picture, client.received(0.05)))
+            pictures = sum(map(is_picture, client.received(0.05)))
+            times += [time.monotonic()] * pictures
             if talk.poll():
                 if talk.recv() == "end":
+                    talk.send(times)
                     return
-                talk.send(count)
+                talk.send(len(times))
 
 
 def cpu_of(pid: int | None) -> float:
@@ -149,6 +161,93 @@ def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: i
     return Measured(scene.name, on, rate, shown, alone)
 
 
+class Live(NamedTuple):
+    """A view of a hand that another process sends. ages_s: of the pose of the hand when its picture is sent
+    ways_s: from there to the client; speed: simulated seconds per second; pictures_s: that the client got
+    """
+
+    scene: str
+    device: str
+    rate_Hz: float
+    speed: float
+    pictures_s: float
+    ages_s: list[float]
+    ways_s: list[float]
+
+
+def measure_live(scene: Path, device: str | None, rate_Hz: float | None, seconds: float) -> Live:
+    """Step a scene in real time whose hand another process sends, with 90 samples a second of its script."""
+    view = preview(scene, device="cpu")
+    context = get_context("spawn")
+    sent: list[tuple[float, float]] = []
+    with TemporaryDirectory() as folder, ExitStack() as opened:
+        file = Path(folder) / "hand.npz"
+        write_stream(file, scene_stream(view, 90.0, 2.0 * view.duration_s))
+
+        def begin(host: str, port: int) -> None:
+            run = "from palmfield.cli.app import main; main()"
+            words = ["track", "replay", str(file), "--to", f"{host}:{port}", "--repeat", "10000", "--stamp"]
+            process = subprocess.Popen([sys.executable, "-c", run, *words], stdout=subprocess.DEVNULL)
+            opened.callback(process.wait)
+            opened.callback(process.kill)
+
+        source = live_hand.Live(up="z", on_listening=begin)
+        live = ShownScene(SceneSource(scene, device, None, None), {}, Path("out") / "view", lambda _: None, source)
+        assert live.followed is not None
+        opened.enter_context(live.followed)
+        on = live.sim.runtime.spec.device
+        rate = rate_Hz or (RATE_Hz if on == "cpu" else GPU_RATE_Hz)
+        link = opened.enter_context(Link(Address("127.0.0.1", None, "", rate)))
+
+        def send(message: FromSimulation) -> None:
+            if isinstance(message, Moment) and message.hand_age_s is not None:
+                sent.append((time.monotonic(), message.hand_age_s))
+            link.send(message)
+
+        live.send = send
+        live.followed.wait(30.0)
+        live.show()
+        talk, theirs = context.Pipe()
+        client = context.Process(target=count_pictures, args=(link.address, theirs), daemon=True)
+        client.start()
+
+        def steps(for_s: float) -> tuple[float, int]:
+            began, begun = time.monotonic(), live.sim.time
+            before = requests_of(talk)
+            wait_s = 0.0
+            while time.monotonic() < began + for_s:
+                for message in link.received(wait_s):
+                    live.receive(message)
+                wait_s = live.go_on()
+            return (live.sim.time - begun) / for_s, requests_of(talk) - before
+
+        steps(3.0 * WARM_s)
+        sent.clear()
+        speed, pictures = steps(seconds)
+        talk.send("end")
+        times = np.array(talk.recv())
+        client.join(10.0)
+    at = np.searchsorted(times, [when for when, _ in sent])
+    ways = [float(times[i]) - when for i, (when, _) in zip(at, sent, strict=True) if i < len(times)]
+    ages = [age for _, age in sent if not math.isnan(age)]
+    return Live(scene.name, on, rate, speed, pictures / len(live.sim.skins) / seconds, ages, ways)
+
+
+def live_section(result: Live, command: str) -> str:
+    """A section of the page on a tracked hand."""
+    age, late = 1e3 * np.median(result.ages_s), 1e3 * np.percentile(result.ages_s, 95)
+    return "\n".join(
+        [
+            f"## {result.scene} with a tracked hand on {'the CPU' if result.device == 'cpu' else 'a GPU'}", "",
+            f"`{command}`, on {machine(result.device)}. Another process sent 90 samples of the hand a second. "
+            f"{result.rate_Hz:g} pictures a second were requested, and **{result.pictures_s:.1f}** arrived; the scene "
+            f"ran at **{result.speed:.2g}** times real time. When a picture was sent, the pose of its hand was "
+            f"{age:.0f} ms old (95 %: {late:.0f} ms), counted from the arrival of the sample. The picture arrived at "
+            f"the client {1e3 * np.median(result.ways_s):.0f} ms later (median).", "",
+        ]
+    )  # fmt: skip
+
+
 def machine(device: str) -> str:
     """What it ran on, in words."""
     cores = f"{len(os.sched_getaffinity(0))} cores of {platform.processor() or platform.machine()}"
@@ -192,9 +291,9 @@ the CPU time of a step is more reliable than the number of steps per second.
 """
 
 
-def write(result: Measured, command: str, path: Path) -> None:
+def write(result: Measured | Live, command: str, path: Path) -> None:
     """Put a section into the page, in place of an earlier one of the same scene and kind of device."""
-    new = table(result, command, path)
+    new = live_section(result, command) if isinstance(result, Live) else table(result, command, path)
     heading = new.partition("\n")[0]
     old = path.read_text() if path.exists() else HEAD
     parts = old.split("\n## ")
@@ -211,11 +310,17 @@ def main() -> None:
     words.add_argument("--stretches", type=int, default=9)
     words.add_argument("--seconds", type=float, default=4.0, help="of a stretch")
     words.add_argument("--page", type=Path, default=PAGE, help="page to write")
+    words.add_argument("--live", action="store_true", help="the hand follows samples of another process")
     args = words.parse_args()
-    result = measure(args.scene, args.device, args.rate, args.stretches, args.seconds)
+    result: Measured | Live
+    if args.live:
+        result = measure_live(args.scene, args.device, args.rate, args.stretches * args.seconds)
+    else:
+        result = measure(args.scene, args.device, args.rate, args.stretches, args.seconds)
     name = args.scene.resolve()
     shown = name.relative_to(ROOT) if name.is_relative_to(ROOT) else name
     command = f"python scripts/verification/check_view.py {shown}" + (f" --device {args.device}" if args.device else "")
+    command += " --live" if args.live else ""
     write(result, command, args.page)
 
 

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palmfield.cli.app import app
-from palmfield.cli.trial import listening_at
+from palmfield.cli.options import listening_at
 from palmfield.errors import DeviceError
 from palmfield.hand.articulated import articulate
 from palmfield.hand.preset import load_preset

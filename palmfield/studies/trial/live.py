@@ -2,8 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -11,9 +9,7 @@ from palmfield.drive.frame_log import FrameLog
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
 from palmfield.errors import SceneError
-from palmfield.motion.line_listener import By
-from palmfield.motion.live_hand import STALE_S, LiveHand
-from palmfield.motion.source import tracker_frame
+from palmfield.motion.live_hand import STALE_S, Live
 from palmfield.motion.tracking import Stream
 from palmfield.session.live_scene import LiveScene
 from palmfield.session.preview import Preview
@@ -23,42 +19,10 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.studies.trial.field import focus_in
 from palmfield.studies.trial.pose_estimate import Tracker
 from palmfield.studies.trial.sending import VIRTUAL, MadeFrame, Sent, send
-from palmfield.transforms import Transform
 from palmfield.types import Float
 
 FIT_S = 5e-3
 """Approximate time to fit the hand to a sample."""
-
-
-@dataclass(frozen=True)
-class Live:
-    """Source of tracker samples, and pose of the tracker.
-
-    host, port, by: address and protocol of the socket, port 0 for any free one; align: file of `palmfield track
-    align`; None: the origin of
-        the tracker is that of the scene; up: axis of the tracker that points up
-    wait_s: longest wait for the first sample [s]; on_listening: called with the address once the socket listens
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 0
-    by: By = "udp"
-    align: Path | None = None
-    up: Literal["y", "z"] = "y"
-    wait_s: float = 30.0
-    on_listening: Callable[[str, int], None] = lambda host, port: None
-
-    def frame(self, array: Transform) -> Transform:
-        """Return the tracker frame in the world. array: frame of the first array. Raises SceneError for a bad file."""
-        return tracker_frame(array, self.align, self.up)
-
-    def keys(self, name: str, stream: Path, start_s: float) -> dict[str, object]:
-        """Return keys that make the instance `name` follow the samples of the tracker."""
-        own: dict[str, object] = dict.fromkeys(("keyframes", "trajectory", "function"))
-        own |= {"tracking": str(stream.resolve()), "start_s": start_s, "follow": "exact", "tracking_origin_m": None}
-        own["tracking_up"] = None if self.align is not None else self.up
-        own["tracking_alignment"] = None if self.align is None else str(self.align.resolve())
-        return {f"{name}.{key}": value for key, value in own.items()}
 
 
 @dataclass(frozen=True)
@@ -113,10 +77,7 @@ def play_live(
     posed_of: list[tuple[object, PosedScene]] = []
     silenced = 0
     unreachable: list[str] = []
-    with LiveHand(
-        scene.hand, live.frame(array), ahead_s=ahead_s, host=live.host, port=live.port, by=live.by
-    ) as follower:
-        live.on_listening(follower.listener.host, follower.listener.port)
+    with live.follow(scene.hand, array, ahead_s) as follower:
         follower.wait(live.wait_s)
 
         def silent(focus: Float, sample_s: float) -> MadeFrame:

@@ -1,13 +1,16 @@
 """Add a shift and rotation to hands that the script of a scene moves."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from palmfield.motion.live_hand import Live, LiveHand
+from palmfield.motion.live_motion import LiveMotion
 from palmfield.motion.pose import HandPose
 from palmfield.motion.source import HandMotion
-from palmfield.session.live_scene import scripts
+from palmfield.session.live_scene import scripts, the_articulated
 from palmfield.session.simulation import Simulation
 from palmfield.studies.view.messages import Place, Slider
 from palmfield.types import Float
@@ -39,9 +42,19 @@ class Hands:
     """The scripted hands of a scene. Their offsets are kept when the scene is rebuilt.
 
     sliders: sliders of all hands; offsets: offsets by instance of palmfield.motion
+    followed: the tracked hand that leads the only articulated hand of the scene in place of its script, or None
     """
 
-    def __init__(self, sim: Simulation) -> None:
+    def __init__(self, sim: Simulation, live: Live | None = None) -> None:
+        """live: source of a tracked hand. Raises SceneError unless the scene moves exactly one articulated hand, and
+        DeviceError for an address at which it cannot listen."""
+        self.followed: LiveHand | None = None
+        self._motion: LiveMotion | None = None
+        if live is not None:
+            name, module = the_articulated(scripts(sim.data), sim.name)
+            hand, frame = module.motion.hand, sim.runtime.posed.array_frame
+            assert hand is not None
+            self.followed, self._led = live.follow(hand, frame), name
         self.offsets = {name: Offset.none() for name in scripts(sim.data)}
         self.sliders: tuple[Slider, ...] = tuple(
             Slider(
@@ -58,6 +71,11 @@ class Hands:
         """Move the hands of another simulation of the scene in future."""
         self._modules = scripts(sim.data)
         self._scripts = {name: module.motion for name, module in self._modules.items()}
+        if self.followed is not None:
+            script, followed = self._scripts[self._led], self.followed
+            assert script.hand is not None
+            self._motion = LiveMotion(script.hand, lambda: followed.newest, script.at(sim.time))
+            self._scripts[self._led] = HandMotion(script.hand, self._motion)
         for name in self.offsets:
             self._lead(name)
 
@@ -83,6 +101,13 @@ class Hands:
             assert axis is not None
             found[slider.place] = float(1e3 * offset.shift[axis] if kind == "shift" else offset.turn_deg[axis])
         return found
+
+    @property
+    def age_s(self) -> float | None:
+        """Return `LiveMotion.age_s`, NaN while the hand is lost, None without a tracked hand."""
+        if self.followed is None or self._motion is None:
+            return None
+        return math.nan if self.followed.stale else self._motion.age_s
 
     def _lead(self, name: str) -> None:
         script, offset = self._scripts[name], self.offsets[name]

@@ -90,6 +90,7 @@ class Moment(NamedTuple):
     drive: commanded drive of the transducers, (N,); foci: (m, 3), none in silence
     solvers: stepper of each skin; recording: folder, or empty
     displacement, arp: displacement along the outward normal [m] and ARP [Pa] of each skin, (S,), if requested
+    hand_age_s: age of the pose of a tracked hand [s], NaN while it is lost; None without a tracked hand
     """
 
     time_s: float
@@ -102,6 +103,7 @@ class Moment(NamedTuple):
     recording: str
     displacement: tuple[Float32, ...] = ()
     arp: tuple[Float32, ...] = ()
+    hand_age_s: float | None = None
 
 
 class Level(NamedTuple):

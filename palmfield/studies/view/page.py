@@ -442,9 +442,13 @@ class Page:
         pace = "paused" if not moment.playing else f"{moment.speed:.2g} x real time"
         recording = f"<br><b>recording</b> to {html.escape(moment.recording)}" if moment.recording else ""
         solvers = ", ".join(sorted(set(moment.solvers)))
+        age_s = moment.hand_age_s
+        hand = "" if age_s is None else f"<br>tracked hand: pose of {1e3 * age_s:.0f} ms ago"
+        if age_s is not None and math.isnan(age_s):
+            hand = "<br><b>the hand is not tracked</b>"
         self._status.content = _small(
             f"<b>{moment.time_s:.3f} s</b>, {pace}; {html.escape(scene.device)}, skin by {html.escape(solvers)}<br>"
-            f"shown: {html.escape(words)}; motion magnified {magnify:,.0f} times{recording}"
+            f"shown: {html.escape(words)}; motion magnified {magnify:,.0f} times{hand}{recording}"
         )
 
 

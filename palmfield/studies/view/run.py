@@ -6,6 +6,7 @@ import re
 import secrets
 import time
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -13,6 +14,7 @@ from types import FrameType
 from palmfield.config import FILE_KEYS
 from palmfield.drive.exit_signals import handling
 from palmfield.errors import OutputError, PalmfieldError, SceneError
+from palmfield.motion.live_hand import Live, LiveHand
 from palmfield.session.changed_stimuli import change_stimuli
 from palmfield.session.simulation import Simulation
 from palmfield.session.worlds import stimulus_texts
@@ -39,6 +41,8 @@ NEXT_KEY = re.compile(r";\s*(?=[\w.]+\s*=)")
 """Separator of several keys in one text: a semicolon before INSTANCE.key=."""
 NOT_FROM_A_PAGE = {"function", "hand", *FILE_KEYS}
 """Keys with which a user of the page could read files and run code."""
+WARN_AGAIN_s = 2.0
+"""Time between two errors of the same step of a tracked hand [s]."""
 BEHIND_s = 0.2
 """Largest delay against real time that is recovered [s]."""
 
@@ -72,8 +76,12 @@ class ShownScene:
         keys: Mapping[str, object],
         out: Path,
         send: Callable[[messages.FromSimulation], None],
+        live: Live | None = None,
     ) -> None:
-        """out: folder with a folder for each recording. Raises the errors of `palmfield.Simulation`."""
+        """out: folder with a folder for each recording; live: source of a tracked hand.
+
+        Raises the errors of `palmfield.Simulation` and `Hands`.
+        """
         self.source, self.keys, self.out, self.send = source, dict(keys), out, send
         self.playing, self.most_pace = True, 1.0
         self._turns: dict[messages.Place, float] = {}
@@ -83,7 +91,8 @@ class ShownScene:
         self._periods: Periods | None = None
         self._recording: Recording | None = None
         self.sim = source.open(keys)
-        self._hands = Hands(self.sim)
+        self._hands = Hands(self.sim, live)
+        self._warned: float = -math.inf
         self.sliders: dict[messages.Place, messages.Slider] = {}
         self._attach()
 
@@ -202,7 +211,7 @@ class ShownScene:
             wait_s = self._ahead_s()
             self._waited = self._waited or wait_s > 0.0
             if wait_s <= 0.0:
-                self.playing = self._guarded(self._step)
+                self.playing = self._follow() if self.followed else self._guarded(self._step)
         if self._requested:
             self._answer()
         return min(max(wait_s, 0.0), IDLE_s)
@@ -216,6 +225,24 @@ class ShownScene:
         if ahead < -BEHIND_s:
             self._clock = time.monotonic(), self.sim.time
         return ahead
+
+    @property
+    def followed(self) -> LiveHand | None:
+        """The tracked hand, if there is one."""
+        return self._hands.followed
+
+    def _follow(self) -> bool:
+        """Step with a tracked hand; return whether to go on, which is false if the hand cannot be followed."""
+        if self.followed is None or not self._guarded(self.followed.check):
+            return False
+        try:
+            self._step()
+        except SceneError as error:
+            # A hand that reaches into the array leaves it again
+            if time.monotonic() - self._warned > WARN_AGAIN_s:
+                self._warned = time.monotonic()
+                self.send(messages.Notice("error", str(error)))
+        return True
 
     def _step(self) -> None:
         if self._recording is None and self._periods is None and "replay" in self._requested and self._may_watch():
@@ -264,7 +291,9 @@ class ShownScene:
             full = "full moment" in moment
             self._guarded(
                 lambda: self.send(
-                    self._reader.moment(full=full, speed=speed, playing=self.playing, recording=folder)
+                    self._reader.moment(
+                        full=full, speed=speed, playing=self.playing, recording=folder, hand_age_s=self._hands.age_s
+                    )
                 )
             )  # fmt: skip
         if "replay" in self._requested and self._recording is not None and not self._guarded(self._replay_recorded):
@@ -362,6 +391,7 @@ def view(
     port: int | None = None,
     rate_Hz: float | None = None,
     pace: float = 1.0,
+    live: Live | None = None,
     on_ready: Callable[[str], None] | None = None,
 ) -> None:
     """Run a scene and show it in the browser; after Ctrl-C, SIGTERM or SIGHUP, finish recordings and return.
@@ -375,6 +405,7 @@ def view(
         8080
     rate_Hz: pictures per second, default 15, on a GPU 30
     pace: largest simulated time per real time; inf for no limit
+    live: source of a tracked hand, which the only articulated hand of the scene follows in place of its script
     on_ready: called with the address of the page
     Raises SceneError or DeviceError as `palmfield.Simulation` does, and OutputError if the page is not available or its
     process ends before the view.
@@ -390,24 +421,25 @@ def view(
         changed.setdefault("palmfield.skin.solver", "modal")
     unsent: list[messages.FromSimulation] = []
     folder = Path("out") / f"view_{path.stem}" if out is None else Path(out)
-    live = ShownScene(SceneSource(path, device, accuracy, board), changed, folder, unsent.append)
-    live.receive(messages.Pace(pace))
-    on_gpu = live.sim.runtime.spec.device != "cpu"
+    shown = ShownScene(SceneSource(path, device, accuracy, board), changed, folder, unsent.append, live)
+    shown.receive(messages.Pace(pace))
+    on_gpu = shown.sim.runtime.spec.device != "cpu"
     rate = rate_Hz or (GPU_RATE_Hz if on_gpu else RATE_Hz)
     token = "" if is_loopback(host) else secrets.token_urlsafe(24)
     end = Ending()
     with (
+        shown.followed or nullcontext(),
         handling(dict.fromkeys(("SIGINT", "SIGTERM", "SIGHUP"), end.note)),
         Link(messages.Address(host, port, token, rate)) as link,
     ):
-        live.send = link.send
-        live.show()
+        shown.send = link.send
+        shown.show()
         if on_ready is not None:
             on_ready(link.address)
         try:
-            run_for(live, link, end)
+            run_for(shown, link, end)
         finally:
-            live.stop_recording("the live view has ended")
+            shown.stop_recording("the live view has ended")
         if link.closed and not end.requested:
             raise OutputError("the page process has ended, and so has the view; the recordings are complete")
 

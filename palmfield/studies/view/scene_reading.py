@@ -69,7 +69,9 @@ class MomentReader:
             bodies.append(vertices)
         return Pose(tuple(bodies), tuple(skins), _in_world(frame.points(posed.arrays.array.positions)))
 
-    def moment(self, *, full: bool, speed: float, playing: bool, recording: str) -> Moment:
+    def moment(
+        self, *, full: bool, speed: float, playing: bool, recording: str, hand_age_s: float | None = None
+    ) -> Moment:
         """Return the present state. full: whether to include motion and ARP of the skins; others as in Moment"""
         sim, runtime = self._sim, self._sim.runtime
         posed = runtime.posed
@@ -89,4 +91,5 @@ class MomentReader:
             recording=recording,
             displacement=tuple(_in_world(skin.normal_displacement) for skin in skins) if full else (),
             arp=tuple(_in_world(skin.arp) for skin in skins) if full else (),
+            hand_age_s=hand_age_s,
         )
