@@ -10,7 +10,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 
-from palmfield.acoustics.bem_mesh import closed
+from palmfield.acoustics.scattering import closed
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import HandSurface, hand_surface
 from palmfield.hand.triangles import face_components

@@ -14,11 +14,10 @@ import numpy as np
 
 from palmfield.skin.analytic.mach import mach_half_angle
 from palmfield.skin.materials.catalogue import PRESETS
-from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import Load, Motion, SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import cost_lateral_waves, solve_lateral_waves, static_lateral_waves
-from palmfield.skin.solvers.lateral_waves.accuracy import relative_error
+from palmfield.skin.solvers.lateral_waves.resolution import relative_error
 from palmfield.studies.bench.table import cells, keep_rows, ranged
 
 ROOT = Path(__file__).parents[1]

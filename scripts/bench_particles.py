@@ -17,8 +17,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.catalogue import PRESETS
-from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import GAUSSIAN, Slab, Spot
 from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
 from palmfield.skin.solvers.particles.resolution import law_error

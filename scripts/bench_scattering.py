@@ -21,11 +21,10 @@ from scipy.spatial import cKDTree
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arp import arp
 from palmfield.acoustics.arrays import layout
-from palmfield.acoustics.bem import DoubleLayer
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.langevin import radiation_force
-from palmfield.acoustics.scattering import Scattering, scatter, wall_arp
+from palmfield.acoustics.scattering import DoubleLayer, Scattering, scatter, wall_arp
 from palmfield.acoustics.shadow import shadow_mesh
 from palmfield.device import resolve
 from palmfield.hand.triangles import face_normals, vertex_normals

@@ -21,7 +21,7 @@ from bench_lateral_waves import SURFACE, passage, plate
 from bench_spectral_elements import gap
 
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.problem import Motion, SkinProblem, Slab
 from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves

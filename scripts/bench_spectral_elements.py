@@ -23,8 +23,7 @@ from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import Layer, SkinProblem, Slab, Spot
 from palmfield.skin.solver_choice import solve
 from palmfield.skin.solvers.spectral_elements.solve import solve_spectral_elements

@@ -18,7 +18,7 @@ from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.problem import Layer, Spot
 from palmfield.skin.solver_choice import solve
 from palmfield.studies.bench.table import processor

@@ -18,9 +18,9 @@ from scipy.optimize import least_squares
 
 from palmfield.outputs.style import COLOURS, save, style
 from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.extreme_sheets import varied
 from palmfield.skin.materials.catalogue import CATALOGUE, DEPTH_M, PRESETS, TISSUES, hand_skin
 from palmfield.skin.materials.dispersion import Waves, describe
-from palmfield.skin.materials.extremes import varied
 from palmfield.skin.materials.material import Material, complex_shear, elastic, prony, standard_linear
 from palmfield.skin.materials.prony_fit import fractional, fractional_kelvin_voigt
 from palmfield.skin.materials.ranges import UNITS

@@ -58,7 +58,7 @@ def test_keys_are_listed_without_what_computes():
     ("command", "more"),
     [
         ("info", {"scipy.optimize"}),
-        ("plan", {"palmfield.acoustics.bem", "palmfield.acoustics.scattering", "palmfield.skin.fem.elimination"}),
+        ("plan", {"palmfield.acoustics.scattering", "palmfield.skin.fem.elimination"}),
     ],
 )
 def test_a_scene_is_described_without_pictures_files_and_meshes(command, more, cache):

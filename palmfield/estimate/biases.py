@@ -7,9 +7,8 @@ import numpy as np
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.echo import REST
-from palmfield.acoustics.nonlinear import beams, fundamental_left, steepening
+from palmfield.acoustics.nonlinear import Wind, beams, fundamental_left, steepening, wind
 from palmfield.acoustics.phased_array import PhasedArray
-from palmfield.acoustics.streaming import Wind, wind
 from palmfield.acoustics.validity import least_radius_m
 from palmfield.config.skin import OF_SHAPES
 from palmfield.drive.response_error import changes_of_motion

@@ -29,7 +29,7 @@ from palmfield.simulation.build import at_any_level
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.extreme_sheets import softest_and_stiffest_sheets
-from palmfield.skin.reduction.point_model import TOLERANCE, PointModel
+from palmfield.skin.reduction.reducer import TOLERANCE, PointModel
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frames_at

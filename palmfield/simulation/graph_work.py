@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from palmfield.acoustics.knife_edge import KnifeEdges
+from palmfield.acoustics.knife_edge import KnifeEdges, ShadowNodes, shadow_nodes
 from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, sound_calls
-from palmfield.acoustics.shadow_nodes import ShadowNodes, shadow_nodes
 from palmfield.config.base import naming_keys
 from palmfield.device import (
     Branches,

@@ -8,10 +8,9 @@ import numpy as np
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import SurfaceSound
-from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
+from palmfield.acoustics.knife_edge import Emitters, KnifeEdges, ShadowNodes, shadow_nodes
 from palmfield.acoustics.occlusion import Occlusion, distance_to_arrays
 from palmfield.acoustics.phased_array import PhasedArray
-from palmfield.acoustics.shadow_nodes import ShadowNodes, shadow_nodes
 from palmfield.acoustics.surface_arp import Shades, rows_of
 from palmfield.simulation.cached import Cached
 from palmfield.simulation.model import HapticModel

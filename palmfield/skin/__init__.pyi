@@ -3,15 +3,15 @@ from .base import Springs as Springs
 from .costs import Choice as Choice
 from .costs import scene_choices as scene_choices
 from .endless import half_space as half_space
+from .extreme_sheets import softest_and_stiffest as softest_and_stiffest
 from .fem.wedge_stepper import WedgeStepper as WedgeStepper
 from .materials.catalogue import CATALOGUE as CATALOGUE
 from .materials.catalogue import preset as preset
-from .materials.extremes import softest_and_stiffest as softest_and_stiffest
 from .materials.material import Branch as Branch
 from .materials.material import Material as Material
+from .materials.material import Sheet as Sheet
 from .materials.material import kelvin_voigt as kelvin_voigt
 from .materials.material import shear_wave as shear_wave
-from .materials.sheet import Sheet as Sheet
 from .problem import Layer as Layer
 from .problem import Motion as Motion
 from .problem import Slab as Slab

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from palmfield.errors import SceneError
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 
 BaseKind = Literal["bonded", "free_slip", "free"]
 SideKind = Literal["fixed", "free", "roller", "absorbing"]

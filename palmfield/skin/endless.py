@@ -3,8 +3,7 @@
 import math
 
 from palmfield.skin.base import Foundation, Springs
-from palmfield.skin.materials.material import Material
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Material, Sheet
 
 HEIGHTS_M = (0.0053, 0.0095, 0.0172, 0.0311, 0.0563, 0.102)
 """Heights of the sheets of a half space [m]."""

@@ -8,8 +8,7 @@ from palmfield.config.skin import ENDLESS, OVERRIDES, SkinConfig
 from palmfield.errors import SceneError
 from palmfield.skin.base import Base, Springs
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.material import Branch, Material, shear_wave
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, shear_wave
 
 
 def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:

@@ -1,4 +1,4 @@
-"""Common code of solvers, and their steppers, with their own mesh below the face of the layer of a scene.
+"""Common code of solvers, and their steppers, with their own mesh below the face of a layer; transfer to its wedges.
 
 Body, loads and operators are those of the wedges of the scene.
 """
@@ -14,14 +14,16 @@ from scipy.spatial import cKDTree
 
 from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
+from palmfield.skin.approximation.truncate_domain import refusal_of_spot
 from palmfield.skin.explicit_layer import ExplicitLayer
-from palmfield.skin.fem.face_transfer import FaceTransfer, ends_of_substeps, read
+from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.from_config import base_of
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
+from palmfield.skin.mesh.element import triangle_rule, triangle_shape
 from palmfield.skin.problem import GAUSSIAN, Body, Layer, Load, Slab, Spot, Traction
 from palmfield.skin.scene_layer import SceneLayer
-from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, checked_operator, world_by_world
 from palmfield.types import Float, Int
 
 TONE = 8
@@ -32,6 +34,61 @@ SAMPLES = 32
 """Number of times in each period."""
 MOST_STEPS = 20_000
 """Largest number of steps of a scheme in one MuJoCo step."""
+
+
+class FaceTransfer:
+    """Matrices between the wedges, which define loads and operators, and the face of a stepper with its own mesh.
+
+    system: system of the wedges. points: nodes of the other face [m], shape (f, 3).
+    weights: from motion at the nodes of the other face to motion at the surface nodes of the wedges, csr, (S, f).
+    pressure: from pressure at the quadrature points of the layer to pressure at the nodes of the other face, csr,
+        (f, q); it evaluates the quadratic polynomial through the six points of each triangle.
+    motion: from displacement of the nodes of the other face to unknowns of the wedges, csr, (ndof, 3 f); 0 below it.
+    """
+
+    def __init__(self, system: SkinSystem, points: Float, weights: sparse.csr_matrix) -> None:
+        mesh, nodes = system.mesh, 3 * system.mesh.surface_nodes
+        place = SurfaceProbe(mesh, points, system)
+        rule, _ = triangle_rule()
+        values = triangle_shape(place.local) @ np.linalg.inv(triangle_shape(rule))
+        rows = np.repeat(np.arange(len(points)), len(rule))
+        columns = (len(rule) * place.triangles[:, None] + np.arange(len(rule))).ravel()
+        count = len(rule) * len(mesh.surface_triangles6)
+        self.pressure = sparse.csr_matrix((values.ravel(), (rows, columns)), shape=(len(points), count))
+        # The columns of the map are orthonormal, so its transpose gives the unknowns of nodal displacements
+        unknowns = sparse.csr_matrix(system.dof_map.T)
+        self.motion = sparse.csr_matrix(unknowns[:, :nodes] @ sparse.kron(weights, sparse.identity(3), format="csr"))
+        self._below = unknowns[:, nodes:]
+
+    def reader(self, operator: sparse.csr_matrix) -> Reader:
+        """Convert an operator (m, ndof) on the wedges to a Reader of the nodes of the other face.
+
+        Raises SceneError for another number of columns and for an operator that reads below the surface.
+        """
+        matrix = checked_operator(operator, len(self.motion.indptr) - 1)
+        below = np.abs((matrix @ self._below).data).max(initial=0.0)
+        if below > 1e-9 * np.abs(matrix.data).max(initial=0.0):
+            raise SceneError(
+                f"skin reader: the operator reads below the surface of the skin, with weights up to {below:.3g}; a "
+                "solver with its own mesh gives only the motion of the surface: use solver 'wedges'"
+            )
+        return Reader(matrix.shape[0], sparse.csr_matrix(matrix @ self.motion))
+
+
+def read(motion: Float, reader: Reader) -> Float:
+    """Return displacement and velocity, (s, 2, m), from the motion of the nodes of the other face, (s, 2, f, 3)."""
+    flat = motion.reshape(2 * len(motion), -1)
+    return np.ascontiguousarray((reader.matrix @ flat.T).T).reshape(len(motion), 2, reader.count)
+
+
+def ends_of_substeps(pressure: sparse.csr_matrix, patterns: Float, first: Float, last: Float) -> Float:
+    """Return the pressure at the nodes of a face at start and end of each substep, alternating, shape (2 s, f).
+
+    pressure: as in FaceTransfer; patterns: at the quadrature points [Pa], (k, q); first, last: weights, (s, k)
+    """
+    weights = np.stack([first, last], axis=1).reshape(2 * len(first), -1)
+    there = np.ascontiguousarray((pressure @ np.asarray(patterns, dtype=np.float64).T).T)
+    return weights @ there
 
 
 class OwnMesh(ExplicitLayer, Protocol):

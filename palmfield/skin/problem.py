@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.skin.base import Base, SideKind, check_base_and_side
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.types import Float, Patch
 
 Law = Literal["linear", "held"]

@@ -23,9 +23,8 @@ from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.skin.from_config import base_of, sheets_of, slowest
-from palmfield.skin.materials.sheet import Sheet
-from palmfield.skin.mesh.rows import element_rows
-from palmfield.skin.mesh.wedges import WedgeMesh, extrude
+from palmfield.skin.materials.material import Sheet
+from palmfield.skin.mesh.wedges import WedgeMesh, element_rows, extrude
 from palmfield.types import Float, Patch, Surface
 
 UNEVEN = 3.0

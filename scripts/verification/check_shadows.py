@@ -21,11 +21,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import trimesh
 
-from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
+from palmfield.acoustics.knife_edge import Emitters, KnifeEdges, shadow_nodes
 from palmfield.acoustics.occlusion import Occlusion, distance_to_arrays
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.shadow_nodes import shadow_nodes
 from palmfield.acoustics.surface_arp import SurfaceArp, rows_of
 from palmfield.config import ArrayConfig
 from palmfield.outputs.style import COLOURS, save, style

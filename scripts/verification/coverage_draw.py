@@ -12,8 +12,7 @@ import numpy as np
 from coverage_scenes import PRESETS, draw_body_scene, draw_scene, numbers_of
 from scipy.spatial import Delaunay
 
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch
 from palmfield.skin.problem import Body, Layer, Slab, Spot
 from palmfield.types import Float, Patch

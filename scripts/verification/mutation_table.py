@@ -239,7 +239,7 @@ MUTATIONS = (
     Mutation(
         "2 pi for 4 pi in the double layer",
         "BEM",
-        "palmfield/acoustics/bem.py",
+        "palmfield/acoustics/scattering.py",
         "areas * per_m**2 / (4.0 * np.pi)",
         "areas * per_m**2 / (2.0 * np.pi)",
         "tests/acoustics/test_scattering.py::test_static_part_is_the_solid_angle",
@@ -447,7 +447,7 @@ MUTATIONS = (
     Mutation(
         "nodes' weights of the next order",
         "spectral elements",
-        "palmfield/skin/solvers/spectral_elements/gll.py",
+        "palmfield/skin/solvers/spectral_elements/quads.py",
         "weights = 2.0 / (order * (order + 1) * top**2)",
         "weights = 2.0 / ((order + 1) * (order + 2) * top**2)",
         "tests/skin/spectral_elements/test_elements.py::test_rule_integrates_and_differentiates_its_polynomials",

@@ -6,11 +6,10 @@ import trimesh
 from rigid_sphere import geodesic
 from scipy.special import fresnel
 
-from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
+from palmfield.acoustics.knife_edge import Emitters, KnifeEdges, shadow_nodes
 from palmfield.acoustics.occlusion import Occlusion
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.shadow_nodes import shadow_nodes
 from palmfield.acoustics.surface_arp import SurfaceArp, rows_of
 from palmfield.config import ArrayConfig
 from palmfield.transforms import IDENTITY, Placement

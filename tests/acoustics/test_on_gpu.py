@@ -5,10 +5,9 @@ import pytest
 import warp as wp
 from rigid_sphere import geodesic
 
-from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
+from palmfield.acoustics.knife_edge import Emitters, KnifeEdges, shadow_nodes
 from palmfield.acoustics.occlusion import Occlusion
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
-from palmfield.acoustics.shadow_nodes import shadow_nodes
 from palmfield.acoustics.surface_arp import MATRIX_FROM, SurfaceArp
 from palmfield.config import ArrayConfig
 from palmfield.hand.articulated import bone_poses

@@ -8,10 +8,18 @@ from scattered_sound import scattered_field, wall_force
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 from palmfield.acoustics.air import density, sound_speed
-from palmfield.acoustics.bem import DoubleLayer
-from palmfield.acoustics.bem_mesh import checked, closed, elements_per_wavelength, inner_points, mean_edge_m
 from palmfield.acoustics.langevin import radiation_force
-from palmfield.acoustics.scattering import Incident, Scattering, scatter
+from palmfield.acoustics.scattering import (
+    DoubleLayer,
+    Incident,
+    Scattering,
+    checked,
+    closed,
+    elements_per_wavelength,
+    inner_points,
+    mean_edge_m,
+    scatter,
+)
 from palmfield.errors import PalmfieldError
 from palmfield.hand.triangles import face_normals
 from palmfield.instruments.microphone import surface_pressure

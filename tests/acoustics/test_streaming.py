@@ -9,8 +9,7 @@ from scipy.special import jv
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
-from palmfield.acoustics.nonlinear import beams
-from palmfield.acoustics.streaming import wind
+from palmfield.acoustics.nonlinear import beams, wind
 from palmfield.types import Air
 
 AIR = Air()

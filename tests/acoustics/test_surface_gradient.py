@@ -4,7 +4,7 @@ import numpy as np
 from rigid_sphere import geodesic
 from scipy.spatial import Delaunay
 
-from palmfield.acoustics.surface_gradient import surface_gradient
+from palmfield.acoustics.scattering import surface_gradient
 from palmfield.hand.triangles import face_normals
 
 

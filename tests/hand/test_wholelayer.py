@@ -28,7 +28,7 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import static
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.mesh.body_mesh import Sizes
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Layer

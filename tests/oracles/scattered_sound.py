@@ -5,10 +5,8 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from palmfield.acoustics import check
-from palmfield.acoustics.bem import NEAR_EDGES, DoubleLayer
-from palmfield.acoustics.bem_mesh import mean_edge_m
 from palmfield.acoustics.field import FieldEvaluator
-from palmfield.acoustics.scattering import Incident, Scattering, wall_arp
+from palmfield.acoustics.scattering import NEAR_EDGES, DoubleLayer, Incident, Scattering, mean_edge_m, wall_arp
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces

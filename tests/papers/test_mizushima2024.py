@@ -8,7 +8,7 @@ import pytest
 from palmfield.metrics import half_width
 from palmfield.skin import Spot, preset, static
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.problem import Slab
 from palmfield_papers.answer import Setting
 from palmfield_papers.entries import book

@@ -6,7 +6,7 @@ import warp as wp
 
 import palmfield
 from palmfield.simulation import host_backend
-from palmfield.skin.reduction.device_worlds import DeviceWorlds
+from palmfield.skin.reduction.device_models import DeviceWorlds
 
 KEYS = {
     "stimulus.focus_m": [(0.0, 0.0, 0.12), (0.004, 0.0, 0.12), (0.0, -0.003, 0.12)],

@@ -20,9 +20,8 @@ from palmfield.skin.fem.solver import static
 from palmfield.skin.from_config import layer_cutoff
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.dispersion import cutoff
-from palmfield.skin.materials.material import elastic
-from palmfield.skin.materials.sheet import Sheet
-from palmfield.skin.mesh.rows import element_rows
+from palmfield.skin.materials.material import Sheet, elastic
+from palmfield.skin.mesh.wedges import element_rows
 
 
 def push(path):

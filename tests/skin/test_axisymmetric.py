@@ -10,8 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.base import Springs
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.material import bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet, bulk_from_poisson
 from palmfield.skin.problem import SkinProblem, Slab, Spot, Traction, spread
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded

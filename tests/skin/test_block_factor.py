@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from palmfield.device import filled
-from palmfield.skin.fem.block_factor import block_factor
-from palmfield.skin.fem.elimination import BRANCHES
-from palmfield.skin.fem.grouped_rows import grouped_rows
+from palmfield.skin.fem.elimination import BRANCHES, block_factor
+from palmfield.skin.fem.wedge_stepper import grouped_rows
 from warp_kernels import supernodes as kernels
 
 

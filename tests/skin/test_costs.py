@@ -8,7 +8,7 @@ import pytest
 from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import SkinProblem, Slab, Spot

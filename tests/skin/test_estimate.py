@@ -15,8 +15,7 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.materials.catalogue import PRESETS
-from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet, shear_wave
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Slab, Spot

@@ -13,10 +13,10 @@ from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.skin import own_mesh, solve
 from palmfield.skin.explicit_layer import OWN, layer_solver, solver_class
-from palmfield.skin.fem.face_transfer import ends_of_substeps
 from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
+from palmfield.skin.own_mesh import ends_of_substeps
 from palmfield.skin.problem import GAUSSIAN, Slab, Spot
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper

@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from palmfield.skin.fem.cholesky import CHUNK, FEW, Cholesky
 from palmfield.skin.fem.complex_factor import ComplexFactor
 from palmfield.skin.fem.elimination import COLUMNS, SPLIT
-from palmfield.skin.fem.factor import Factor, factorise
+from palmfield.skin.fem.factor import CHUNK, FEW, Cholesky, Factor, factorise
 from palmfield.threads import limit
 
 

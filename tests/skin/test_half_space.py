@@ -16,7 +16,7 @@ from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.dispersion import rayleigh_wavenumber
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude

@@ -25,8 +25,7 @@ from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, shear_wave
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson, shear_wave
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude

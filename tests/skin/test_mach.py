@@ -6,8 +6,7 @@ from scipy.optimize import brentq
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.mach import mach_half_angle
-from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 

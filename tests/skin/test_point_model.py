@@ -14,8 +14,8 @@ from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import Material
-from palmfield.skin.reduction import point_model as module
-from palmfield.skin.reduction.point_model import TOLERANCE, WINDOW_S, point_model
+from palmfield.skin.reduction import reducer as module
+from palmfield.skin.reduction.reducer import TOLERANCE, WINDOW_S, point_model
 from palmfield.skin.solvers.wedges import first_sizes
 from palmfield.skin.stepper import SurfaceLoads
 

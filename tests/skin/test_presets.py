@@ -7,6 +7,7 @@ from scipy.optimize import least_squares
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.extreme_sheets import scaled, varied
 from palmfield.skin.materials.catalogue import (
     CATALOGUE,
     DEPTH_M,
@@ -16,7 +17,6 @@ from palmfield.skin.materials.catalogue import (
     preset,
 )
 from palmfield.skin.materials.dispersion import describe
-from palmfield.skin.materials.extremes import scaled, varied
 from palmfield.skin.materials.material import bulk_from_poisson, complex_shear, shear_wave
 from palmfield.skin.materials.prony_fit import fractional_kelvin_voigt
 

@@ -11,8 +11,7 @@ from palmfield.skin.approximation.reduce_bulk_modulus import RATIOS, SHARE, redu
 from palmfield.skin.approximation.richardson import relative_difference
 from palmfield.skin.base import Springs
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.material import bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet, bulk_from_poisson
 from palmfield.skin.problem import SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 from palmfield.types import Float

@@ -7,7 +7,7 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, SkinProblem, Slab, Spot, Traction
 from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palmfield.skin.fem.scattered_pressure import between_points, spread_forces
+from palmfield.skin.fem.traction import between_points, spread_forces
 
 RADIUS = 0.006
 SPACING = 1e-3

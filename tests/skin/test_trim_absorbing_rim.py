@@ -10,9 +10,9 @@ from coverage_draw import patch_of
 from palmfield.errors import SceneError
 from palmfield.skin import solve, static
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot, trim_absorbing_rim
+from palmfield.skin.approximation.truncate_domain import refusal_of_spot, trim_absorbing_rim
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.problem import Layer, SkinProblem, Slab, Spot, points_on_face
 from palmfield.skin.solver_choice import choices
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves

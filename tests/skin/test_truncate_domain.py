@@ -7,8 +7,7 @@ from palmfield.skin.approximation.bands import bands, resonance
 from palmfield.skin.approximation.truncate_domain import SHARE, part_of, reach, truncate_domain
 from palmfield.skin.base import Springs
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.material import elastic
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet, elastic
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, SkinProblem, Slab, Spot, Traction, spread
 from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric

@@ -19,11 +19,10 @@ from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch, graded_fractions, quartered
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.rows import element_rows
-from palmfield.skin.mesh.wedges import extrude
+from palmfield.skin.mesh.wedges import element_rows, extrude
 from palmfield.skin.problem import Layer, SkinProblem, Slab, Spot, Traction
 from palmfield.skin.solvers.wedges import refusal_wedges, solve_wedges, static_wedges
 from palmfield.types import Patch

@@ -14,7 +14,7 @@ from palmfield.hand.surface import bone_distance, centred_skeleton
 from palmfield.skin.base import Base, Foundation
 from palmfield.skin.fem.depth import condensed, impedance, on_impedance
 from palmfield.skin.from_config import base_of
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.types import Complex, Float
 

@@ -10,7 +10,7 @@ from palmfield.estimate.cost import COARSER, FINER
 from palmfield.estimate.numerics.point_response import Response, changes
 from palmfield.skin.approximation.estimate import ORDER
 from palmfield.skin.approximation.richardson import error_of_coarser, error_of_finer
-from palmfield.skin.reduction.point_model import TOLERANCE
+from palmfield.skin.reduction.reducer import TOLERANCE
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.types import Float
 

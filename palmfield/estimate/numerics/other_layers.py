@@ -5,7 +5,7 @@ from typing import TypeAlias
 
 from palmfield.estimate.numerics.loudest_sound import LoudestSound
 from palmfield.estimate.numerics.point_response import Response
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.types import Float
 

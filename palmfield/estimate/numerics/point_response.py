@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from palmfield.skin.approximation.estimate import largest_change
-from palmfield.skin.reduction.point_model import PointModel, point_model
+from palmfield.skin.reduction.reducer import PointModel, point_model
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.threads import cores, share
 from palmfield.types import Float

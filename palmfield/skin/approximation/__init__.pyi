@@ -13,6 +13,6 @@ from .refine import refine_until_converged as refine_until_converged
 from .richardson import error_of_coarser as error_of_coarser
 from .richardson import error_of_finer as error_of_finer
 from .richardson import relative_difference as relative_difference
-from .trim_absorbing_rim import refusal_of_spot as refusal_of_spot
 from .truncate_domain import part_of as part_of
 from .truncate_domain import reach as reach
+from .truncate_domain import refusal_of_spot as refusal_of_spot

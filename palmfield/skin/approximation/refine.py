@@ -11,7 +11,7 @@ import numpy as np
 
 from palmfield.skin.approximation.richardson import differences, error_of_coarser, error_of_finer
 from palmfield.skin.mesh.body_mesh import Sizes, graded_fractions
-from palmfield.skin.mesh.rows import element_rows
+from palmfield.skin.mesh.wedges import element_rows
 from palmfield.skin.problem import Body, Layer, Slab, depth_of
 from palmfield.types import Float
 

@@ -6,8 +6,7 @@ from palmfield.hand.remesh import remeshed
 from palmfield.skin.fem.absorbing import match_speed, sponge
 from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.mesh.body_mesh import Sizes, graded_fractions, quartered, slab_patch
-from palmfield.skin.mesh.rows import element_rows
-from palmfield.skin.mesh.wedges import extrude
+from palmfield.skin.mesh.wedges import element_rows, extrude
 from palmfield.skin.problem import Body, Layer
 
 

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from palmfield.skin.base import BaseKind, Springs
-from palmfield.skin.materials.material import Material, complex_bulk, complex_shear
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Material, Sheet, complex_bulk, complex_shear
 from palmfield.types import Complex, Float
 
 DEGREE = 12

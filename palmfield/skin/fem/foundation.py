@@ -32,8 +32,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.base import BaseKind, Foundation, Springs
 from palmfield.skin.fem.absorbing import match_speed, rim_edges, scatter
 from palmfield.skin.fem.depth import condensed, impedance, line_matrices, on_impedance
-from palmfield.skin.materials.material import Material
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Material, Sheet
 from palmfield.skin.mesh.element import triangle_rule, triangle_shape, triangle_slopes
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.skin.problem import spread

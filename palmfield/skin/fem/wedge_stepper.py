@@ -6,9 +6,11 @@ rows of the old state. With z_0 = c_0 y, one product with a K_i is saved:
     x = y + A^-1 (f + sum over i > 0 of K_i (z_i - c_i y)).
 
 K_0 is the largest matrix. It would be a third of the data that a substep of a small layer reads.
+
+An ordinary sparse product reads the column of each number. With groups of ROWS rows, each column is read once.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,16 +20,17 @@ from scipy import sparse
 
 # These functions of SciPy compute y += A x in place; the public products make ten more Python calls.
 from scipy.sparse._sparsetools import csr_matvec
+from scipy.sparse.csgraph import connected_components
 
-from palmfield.device import filled, recorded
+from palmfield.device import filled, recorded, whole_numbers
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.fem.block_factor import BlockFactor, block_factor
+from palmfield.skin.fem.elimination import BlockFactor, block_factor
 from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
-from palmfield.skin.fem.grouped_rows import grouped_rows
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, checked_operator
 from palmfield.threads import Calls, cores, share
-from palmfield.types import Float, Float32
+from palmfield.types import Float, Float32, Int
 from warp_kernels import supernodes as kernels
+from warp_kernels.supernodes import ROWS, GroupedRows, rows_of_group
 
 STORED_PER_THREAD = 250_000
 """Least count of numbers in the blocks for each thread."""
@@ -237,3 +240,50 @@ def _read(matrix: sparse.csr_matrix, rows: Float, out: Float) -> None:
     """Add displacement and velocity to `out`, shape (2, m)."""
     for row, result in zip(rows, out, strict=False):
         csr_matvec(len(result), len(row), matrix.indptr, matrix.indices, matrix.data, row, result)
+
+
+def grouped_rows(
+    matrices: Sequence[sparse.csr_matrix], ranges: Sequence[tuple[int, int]]
+) -> tuple[GroupedRows, list[tuple[int, int]]]:
+    """Return the matrices side by side, shape (n, m n), with the groups of each range of rows together.
+
+    matrices: m matrices, csr (n, n); ranges: first row, and row after the last, of each; they contain each non-zero row
+        once.
+    Also returns the first group of each range and the group after its last.
+    """
+    n = matrices[0].shape[0]
+    rows, starts, columns, values, groups = [], [np.zeros(1, np.int64)], [], [], []
+    count, ended = 0, 0
+    for first, last in ranges:
+        begin = count
+        for number, matrix in enumerate(matrices):
+            part = matrix[first:last].tocoo()
+            order = _alike(matrix, first, last)
+            members = -(-len(order) // ROWS)
+            padded = np.full(members * ROWS, n, np.int32)
+            padded[: len(order)] = order
+            place = np.empty(last - first, np.int64)
+            place[order - first] = np.arange(len(order))
+            row = place[part.row]
+            pairs, where = np.unique((row // ROWS) * n + part.col, return_inverse=True)
+            block = np.zeros((len(pairs), ROWS))
+            block[where, row % ROWS] = part.data
+            ends = np.searchsorted(pairs, n * np.arange(1, members + 1))
+            rows.append(padded)
+            starts.append(ended + ends)
+            ended += len(pairs)
+            columns.append(pairs % n + number * n)
+            values.append(block)
+            count += members
+        groups.append((begin, count))
+    result = GroupedRows()
+    result.rows, result.start = whole_numbers(np.concatenate(rows)), whole_numbers(np.concatenate(starts))
+    result.columns = whole_numbers(np.concatenate(columns))
+    result.values = wp.array(np.concatenate(values), dtype=rows_of_group, device="cpu")
+    return result, groups
+
+
+def _alike(matrix: sparse.csr_matrix, first: int, last: int) -> Int:
+    """Return the rows first..last - 1, sorted so that rows with equal columns are adjacent (mass couples no x to y)."""
+    _, part = connected_components(matrix, directed=False)
+    return (first + np.argsort(part[first:last], kind="stable")).astype(np.int32)

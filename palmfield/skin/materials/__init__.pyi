@@ -7,6 +7,7 @@ from .dispersion import cutoff as cutoff
 from .dispersion import describe as describe
 from .material import Branch as Branch
 from .material import Material as Material
+from .material import Sheet as Sheet
 from .material import bulk_from_poisson as bulk_from_poisson
 from .material import complex_bulk as complex_bulk
 from .material import complex_shear as complex_shear
@@ -17,4 +18,3 @@ from .material import shear_wave as shear_wave
 from .material import standard_linear as standard_linear
 from .prony_fit import PronyFit as PronyFit
 from .prony_fit import fit_prony as fit_prony
-from .sheet import Sheet as Sheet

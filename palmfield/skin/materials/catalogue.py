@@ -9,9 +9,8 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from palmfield.errors import SceneError, did_you_mean
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, kelvin_voigt, prony
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson, kelvin_voigt, prony
 from palmfield.skin.materials.ranges import Observation, Preset, Range
-from palmfield.skin.materials.sheet import Sheet
 
 MANFREDI = "Manfredi et al. 2012, PLoS ONE 7:e31203"
 ZHANG = "Zhang et al. 2011, Med. Eng. Phys. 33:31 (doi 10.1016/j.medengphy.2010.08.016)"

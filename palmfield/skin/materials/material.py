@@ -1,4 +1,4 @@
-"""Skin materials: isotropic linear viscoelastic solids. Presets are in palmfield.skin.materials.catalogue."""
+"""Viscoelastic materials of skin, and its sub-layers. Presets are in palmfield.skin.materials.catalogue."""
 
 import cmath
 import math
@@ -18,10 +18,8 @@ INCOMPRESSIBLE = 1e6
 The motion differs from that of an incompressible layer by less than 6e-5 for spots of 6 to 20 mm on bonded layers of
 1 to 20 mm at 0 to 400 Hz (docs/materials.md; tests/skin/test_material.py), and by more for thinner layers, wider spots.
 """
-
 FELT_Hz: Float = np.geomspace(5.0, 1000.0, 48)
 """Frequencies at which a law is compared with the series that replaces it in time steppers [Hz]."""
-
 NuOf = Literal["instant", "relaxed"]
 
 
@@ -263,3 +261,15 @@ def shear_wave(material: Material, f_Hz: float) -> tuple[float, float]:
     omega = 2.0 * math.pi * f_Hz
     wavenumber = omega * cmath.sqrt(material.density_kg_m3 / complex_shear(material, f_Hz))
     return omega / wavenumber.real, 1.0 / wavenumber.imag if wavenumber.imag > 0.0 else math.inf
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A sub-layer: thickness_m [m], > 0, of one material."""
+
+    material: Material
+    thickness_m: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.thickness_m) and self.thickness_m > 0.0):
+            raise SceneError(f"sheet of '{self.material.name}': thickness_m is {self.thickness_m}; give one above 0")

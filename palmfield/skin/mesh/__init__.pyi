@@ -6,8 +6,8 @@ from .cylinder import cylinder_patch as cylinder_patch
 from .cylinder import cylinder_surface as cylinder_surface
 from .disc import disc_patch as disc_patch
 from .ordering import dissection_order as dissection_order
-from .rows import element_rows as element_rows
 from .wedges import WedgeMesh as WedgeMesh
 from .wedges import closed_boundary as closed_boundary
+from .wedges import element_rows as element_rows
 from .wedges import extrude as extrude
 from .wedges import output_triangles as output_triangles

@@ -1,11 +1,13 @@
 """A patch of surface, extruded into a solid of wedges."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from palmfield.errors import SceneError
 from palmfield.hand.triangles import directed_edges
+from palmfield.skin.materials.material import Material, Sheet
 from palmfield.skin.mesh.element import CORNERS, EDGES, corner_slopes, prism_rule
 from palmfield.types import Float, Int, Patch
 
@@ -165,3 +167,24 @@ def closed_boundary(mesh: WedgeMesh) -> tuple[Float, Int]:
     a, b = rim[:, 0], rim[:, 1]
     side = np.concatenate([np.stack([b, a, a + count], axis=1), np.stack([b, a + count, b + count], axis=1)])
     return vertices, np.concatenate([top, top[:, ::-1] + count, side]).astype(np.int32)
+
+
+def element_rows(sheets: Sequence[Sheet], fractions: Float) -> tuple[Float, list[Material]]:
+    """Return depth fractions of rows of elements, each in one sheet, (L+1,), and the material of each row.
+
+    sheets: from the surface down; thicknesses are shares of their sum
+    fractions: depth fractions for a layer of one sheet, 0 first, 1 last; they determine the number of rows in each
+        sheet, at least one.
+    """
+    index = np.arange(len(fractions), dtype=float)
+    total = sum(sheet.thickness_m for sheet in sheets)
+    result, materials = [0.0], []
+    for sheet in sheets:
+        top, bottom = result[-1], result[-1] + sheet.thickness_m / total
+        first, last = np.interp([top, bottom], fractions, index)
+        count = max(1, round(last - first))
+        inner = np.interp(np.linspace(first, last, count + 1)[1:-1], index, fractions)
+        result += [*inner.tolist(), bottom]
+        materials += [sheet.material] * count
+    result[-1] = 1.0
+    return np.array(result), materials

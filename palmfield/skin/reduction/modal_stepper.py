@@ -252,7 +252,7 @@ class ModalStepper(SkinStepper):
     def device_worlds(self, most: int, device: str) -> DeviceStep | None:
         if device == "cpu" or self.coupled:
             return None
-        from palmfield.skin.reduction.device_worlds import DeviceWorlds
+        from palmfield.skin.reduction.device_models import DeviceWorlds
 
         return DeviceWorlds(self, most, device).step
 

@@ -17,7 +17,7 @@ from palmfield.blas import one_blas_thread
 from palmfield.skin.approximation.load_scales import load_frequency, motion_width
 from palmfield.skin.approximation.refine import Discretisation, MeshSolution, ratio_of, refine_until_converged, resized
 from palmfield.skin.approximation.richardson import differences
-from palmfield.skin.approximation.trim_absorbing_rim import trim_absorbing_rim
+from palmfield.skin.approximation.truncate_domain import trim_absorbing_rim
 from palmfield.skin.costs import assembly_s, reduced_s
 from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import SurfaceQuadrature

@@ -25,7 +25,7 @@ from palmfield.skin.approximation.refine import (
     resized,
 )
 from palmfield.skin.approximation.richardson import error_of_finer
-from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot, trim_absorbing_rim
+from palmfield.skin.approximation.truncate_domain import refusal_of_spot, trim_absorbing_rim
 from palmfield.skin.base import NEEDS_AXIS
 from palmfield.skin.costs import assembly_s, wedges_s
 from palmfield.skin.fem.assembly import SkinSystem

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
 from palmfield.outputs.style import save, style
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.problem import Motion, Slab, Spot
 from palmfield.skin.solver_choice import Name, function, solve
 from palmfield.studies.bench.field import check_writable, device_name, git_commit, written

@@ -7,7 +7,7 @@ import numpy as np
 
 from palmfield.skin import CATALOGUE, Material, Sheet, Slab, Spot, preset, softest_and_stiffest
 from palmfield.skin.base import BaseKind, SideKind
-from palmfield.skin.materials.extremes import scaled
+from palmfield.skin.extreme_sheets import scaled
 from palmfield.types import Float
 from palmfield_papers.answer import Setting
 from palmfield_papers.chilles2019.ecoflex import ecoflex_bulk_corrected, ecoflex_time_as_printed

@@ -8,8 +8,7 @@ import pytest
 from palmfield.errors import SceneError
 from palmfield.skin import solve
 from palmfield.skin.base import Springs
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, elastic, kelvin_voigt
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson, elastic, kelvin_voigt
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, Slab, Spot, Traction
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.materials.material import standard_linear
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet, standard_linear
 from palmfield.skin.problem import Slab
 from palmfield.skin.solvers.lateral_waves import static_lateral_waves
 

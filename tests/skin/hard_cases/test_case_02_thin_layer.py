@@ -5,8 +5,7 @@ import pytest
 from scipy.optimize import brentq
 
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import Slab, Spot, Traction
 from palmfield.skin.solvers.particles.cloud import build_cloud
 from palmfield.skin.solvers.particles.solve import run_particles

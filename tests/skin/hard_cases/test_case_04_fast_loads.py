@@ -5,8 +5,7 @@ import pytest
 from scipy.optimize import brentq
 
 from palmfield.skin.analytic.layer_oracle import layer_compliance
-from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import Slab, Spot, spread
 
 WIDTH, DEPTH, NU = 0.0103, 0.008, 0.45

@@ -7,8 +7,7 @@ import pytest
 from spectral_states import element_forces
 
 from palmfield.errors import SceneError
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, Slab, Spot
 from palmfield.skin.solvers.particles.cloud import build_cloud

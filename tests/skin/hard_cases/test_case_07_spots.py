@@ -8,8 +8,7 @@ from scipy.integrate import dblquad
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import GAUSSIAN, Slab, Spot
 
 ALL = ["lateral_waves", "axisymmetric", "wedges", "reduced", "spectral_elements", "particles"]

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import Slab, Spot, spread
 from palmfield.skin.solvers.lateral_waves import static_lateral_waves
 from palmfield.skin.solvers.wedges import static_wedges

@@ -10,8 +10,7 @@ import dataclasses
 import numpy as np
 import warp as wp
 
-from palmfield.skin.materials.material import Branch, Material
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet
 from palmfield.skin.problem import Slab, spread
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded

@@ -9,8 +9,7 @@ import pytest
 from palmfield.skin.analytic.layer_oracle import layer_compliance
 from palmfield.skin.base import Springs
 from palmfield.skin.materials.catalogue import PRESETS
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import Slab
 from palmfield.skin.solvers.lateral_waves.depth import depth_problem
 from palmfield.skin.solvers.lateral_waves.modes import face_modes, still_modes

@@ -10,8 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response, layer_compliance
 from palmfield.skin.base import Springs
 from palmfield.skin.materials.catalogue import PRESETS
-from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import SkinProblem, Slab, Spot, Traction
 from palmfield.skin.solvers.lateral_waves import (
     cost_lateral_waves,
@@ -19,7 +18,7 @@ from palmfield.skin.solvers.lateral_waves import (
     solve_lateral_waves,
     static_lateral_waves,
 )
-from palmfield.skin.solvers.lateral_waves.accuracy import relative_error
+from palmfield.skin.solvers.lateral_waves.resolution import relative_error
 
 pytestmark = pytest.mark.numerics
 

@@ -6,7 +6,7 @@ import pytest
 from palmfield.skin import Sheet, Slab, Spot
 from palmfield.skin.materials.material import Branch, Material
 from palmfield.skin.problem import SkinProblem
-from palmfield.skin.solvers.lateral_waves.accuracy import relative_error
+from palmfield.skin.solvers.lateral_waves.resolution import relative_error
 from palmfield.skin.solvers.lateral_waves.solve import run, settings_of, solve_lateral_waves
 
 SOFT = Material(

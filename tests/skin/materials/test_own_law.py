@@ -12,15 +12,14 @@ import palmfield
 from palmfield.config.skin import SkinConfig
 from palmfield.errors import SceneError
 from palmfield.estimate.error_budget import SOURCES
-from palmfield.skin import materials, solve
+from palmfield.skin import extreme_sheets, materials, solve
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete
 from palmfield.skin.from_config import material_of
-from palmfield.skin.materials import catalogue, extremes
-from palmfield.skin.materials.material import complex_bulk, complex_shear
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials import catalogue
+from palmfield.skin.materials.material import Sheet, complex_bulk, complex_shear
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Slab, Spot
@@ -106,7 +105,7 @@ def test_moduli_and_bounds(gel):
     assert 0.0 < gel.series_error < 0.01
     assert catalogue.preset("palm").series_error == 0.0
     assert abs(shear(s)).max() < gel.shear_instant_Pa
-    twice = extremes.scaled(gel, 2.0, "twice as stiff")
+    twice = extreme_sheets.scaled(gel, 2.0, "twice as stiff")
     assert np.allclose(twice.modulus(s), 2.0 * shear(s), rtol=1e-12)
     assert twice.law == gel.law
     assert replace(gel, exponent=0.4).law != gel.law

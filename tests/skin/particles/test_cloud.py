@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.skin.materials.material import Material
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Material, Sheet
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, Slab
 from palmfield.skin.solvers.particles.cloud import build_cloud
-from palmfield.skin.solvers.particles.probe import point_weights
+from palmfield.skin.solvers.particles.solve import point_weights
 from palmfield.types import Patch
 
 SOFT = Material("soft", 1000.0, 1e4, (), 1e5, "")

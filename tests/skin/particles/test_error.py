@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 from palmfield.skin.solvers.particles import solve_particles

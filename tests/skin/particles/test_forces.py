@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from palmfield.skin.materials.material import Branch, Material
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet
 from palmfield.skin.problem import Slab
 from palmfield.skin.solvers.particles.cloud import build_cloud
 from palmfield.skin.solvers.particles.run import HOURGLASS, Particles, stable_step

@@ -12,8 +12,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.base import Springs
 from palmfield.skin.materials.catalogue import PRESETS
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, SkinProblem, Slab, Spot, Traction
 from palmfield.skin.solvers.particles import cost_particles, refusal_particles, solve_particles

@@ -10,13 +10,11 @@ from spectral_states import element_forces
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import GAUSSIAN
-from palmfield.skin.solvers.spectral_elements.gll import lagrange, rule
 from palmfield.skin.solvers.spectral_elements.model import Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
-from palmfield.skin.solvers.spectral_elements.quads import box_quads, disc_quads, patch_quads
+from palmfield.skin.solvers.spectral_elements.quads import box_quads, disc_quads, lagrange, patch_quads, rule
 from palmfield.skin.solvers.spectral_elements.solid import extrude, face_areas
 from palmfield.types import Patch
 

@@ -10,8 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.base import Foundation
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import ONLY_WEDGES, Layer, SkinProblem, Slab, Spot
 from palmfield.skin.solvers.spectral_elements.mesh import build, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY

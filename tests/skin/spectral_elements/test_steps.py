@@ -6,12 +6,10 @@ from spectral_states import energy, momentum, place, state
 
 from palmfield.errors import SceneError
 from palmfield.skin.base import Springs
-from palmfield.skin.materials.material import Branch, Material
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Branch, Material, Sheet
 from palmfield.skin.problem import GAUSSIAN, Spot, Traction
-from palmfield.skin.solvers.spectral_elements.loads import Table, table_of
 from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
-from palmfield.skin.solvers.spectral_elements.places import find
+from palmfield.skin.solvers.spectral_elements.places import Table, find, table_of
 from palmfield.skin.solvers.spectral_elements.quads import box_quads
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper
 from palmfield.skin.solvers.spectral_elements.solid import extrude, face_areas

@@ -5,9 +5,8 @@ import pytest
 from typer.testing import CliRunner
 
 from palmfield.acoustics import FieldEvaluator, density, layout, sound_speed
-from palmfield.acoustics.bem_mesh import closed
 from palmfield.acoustics.focus import focus
-from palmfield.acoustics.scattering import scatter, wall_arp
+from palmfield.acoustics.scattering import closed, scatter, wall_arp
 from palmfield.cli.app import app
 from palmfield.errors import MeasurementError
 from palmfield.studies.compare.force_law import COLUMNS, EXPECTED, GRID_MM, N_MG, force_law

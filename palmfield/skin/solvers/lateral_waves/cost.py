@@ -4,9 +4,8 @@ import numpy as np
 
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.problem import SkinProblem, Slab, Spot
-from palmfield.skin.solvers.lateral_waves.accuracy import SERIES_FROM
 from palmfield.skin.solvers.lateral_waves.build import check_sides, is_still, nyquist, reach
-from palmfield.skin.solvers.lateral_waves.resolution import choose
+from palmfield.skin.solvers.lateral_waves.resolution import SERIES_FROM, choose
 
 TRIED, SUMMED = 7.0, 4.3
 """Tried wavenumbers and summed waves, in a run and its finer run together, over the expected numbers for an infinite

@@ -9,11 +9,9 @@ from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.base import Springs
 from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Traction, is_pressed
-from palmfield.skin.solvers.lateral_waves.accuracy import SERIES_FROM, is_picture, pick, relative_error
 from palmfield.skin.solvers.lateral_waves.build import box_images, build_waves, check_sides, refusal_lateral_waves
-from palmfield.skin.solvers.lateral_waves.drive import timeline
-from palmfield.skin.solvers.lateral_waves.march import march
-from palmfield.skin.solvers.lateral_waves.resolution import choose
+from palmfield.skin.solvers.lateral_waves.march import march, timeline
+from palmfield.skin.solvers.lateral_waves.resolution import SERIES_FROM, choose, is_picture, pick, relative_error
 from palmfield.skin.solvers.lateral_waves.waves import at_points
 from palmfield.types import Complex, Float
 

@@ -11,7 +11,7 @@ from palmfield.skin.approximation.load_scales import mean_frequency, motion_widt
 from palmfield.skin.base import NEEDS_AXIS, Foundation, Springs
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.problem import ONLY_WEDGES, Body, Layer, Load, SkinProblem, Slab, depth_of
-from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
+from palmfield.skin.solvers.particles.cloud import FEWEST_CELLS
 
 SECONDS_A_STEP = {"cpu": 0.9e-6, "cuda": 2.0e-9}
 """Time of a step per particle [s]: measured on one CPU core; on a GPU, the time to read 1.5 kB at 0.75 TB/s."""

@@ -7,14 +7,12 @@ import warp as wp
 
 from palmfield.errors import SceneError
 from palmfield.locked import locked_cached_property
-from palmfield.skin.fem.face_transfer import FaceTransfer
-from palmfield.skin.own_mesh import OwnMesh, OwnMeshStepper
+from palmfield.skin.own_mesh import FaceTransfer, OwnMesh, OwnMeshStepper
 from palmfield.skin.problem import Body, Layer, SkinProblem, Slab
 from palmfield.skin.solvers.particles import resolution as spacing
 from palmfield.skin.solvers.particles import run
 from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
-from palmfield.skin.solvers.particles.probe import point_weights
-from palmfield.skin.solvers.particles.solve import solve_particles
+from palmfield.skin.solvers.particles.solve import point_weights, solve_particles
 from palmfield.types import Float, Int
 
 HALVINGS = 3

@@ -10,10 +10,8 @@ import warp as wp
 from palmfield.device import run_kernel
 from palmfield.errors import SceneError
 from palmfield.skin.base import BaseKind, SideKind, Springs
-from palmfield.skin.materials.material import Material
-from palmfield.skin.materials.sheet import Sheet
-from palmfield.skin.solvers.spectral_elements.gll import Rule, rule
-from palmfield.skin.solvers.spectral_elements.quads import rim_edges
+from palmfield.skin.materials.material import Material, Sheet
+from palmfield.skin.solvers.spectral_elements.quads import Rule, rim_edges, rule
 from palmfield.skin.solvers.spectral_elements.solid import Solid, base_areas, cell_areas, inside_out
 from palmfield.types import Float, Int
 from warp_kernels import hexa, hexa_steps

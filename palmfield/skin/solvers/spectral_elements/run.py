@@ -10,8 +10,8 @@ import warp as wp
 from palmfield.device import gather, run_kernel, scatter
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material, Relaxation
-from palmfield.skin.solvers.spectral_elements.loads import Table
 from palmfield.skin.solvers.spectral_elements.model import Holds, Layout, Model
+from palmfield.skin.solvers.spectral_elements.places import Table
 from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
 from palmfield.types import Float, Int
 from warp_kernels import hexa, hexa_steps

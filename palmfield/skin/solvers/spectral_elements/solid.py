@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmfield.errors import SceneError
-from palmfield.skin.materials.sheet import Sheet
-from palmfield.skin.solvers.spectral_elements.gll import rule
-from palmfield.skin.solvers.spectral_elements.quads import Quads
+from palmfield.skin.materials.material import Sheet
+from palmfield.skin.solvers.spectral_elements.quads import Quads, rule
 from palmfield.types import Float, Int
 
 

@@ -13,9 +13,9 @@ from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import edge_is_felt, motion_width
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.approximation.richardson import differences, error_of_coarser, error_of_finer
-from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
+from palmfield.skin.approximation.truncate_domain import refusal_of_spot
 from palmfield.skin.base import Foundation
-from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.materials.material import Sheet
 from palmfield.skin.problem import (
     ONLY_WEDGES,
     Body,
@@ -27,10 +27,9 @@ from palmfield.skin.problem import (
     normals_on_face,
     points_on_face,
 )
-from palmfield.skin.solvers.spectral_elements.loads import table_of
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, fast_speed, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY, Holds, Model, constraints
-from palmfield.skin.solvers.spectral_elements.places import find
+from palmfield.skin.solvers.spectral_elements.places import find, table_of
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper
 from palmfield.skin.solvers.spectral_elements.solid import Solid
 from palmfield.types import Float

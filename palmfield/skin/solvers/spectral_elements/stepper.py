@@ -7,14 +7,12 @@ import numpy as np
 from palmfield.locked import locked_cached_property
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.base import Foundation
-from palmfield.skin.fem.face_transfer import FaceTransfer
-from palmfield.skin.own_mesh import OwnMesh, OwnMeshStepper
+from palmfield.skin.own_mesh import FaceTransfer, OwnMesh, OwnMeshStepper
 from palmfield.skin.problem import Body, SkinProblem
 from palmfield.skin.solvers.spectral_elements import solve
-from palmfield.skin.solvers.spectral_elements.loads import Table
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, constraints
-from palmfield.skin.solvers.spectral_elements.places import find
+from palmfield.skin.solvers.spectral_elements.places import Table, find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper, state_size
 from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
 from palmfield.types import Float, Int
