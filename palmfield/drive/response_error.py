@@ -23,10 +23,6 @@ LEAST_WINDOW_S = 10e-3
 MOST_WINDOW_S = 100e-3
 SETTLED = 10
 """Time after which the initial state of a pole has decayed to 5e-5, in delays."""
-LOSS, FORGOTTEN = 0.1, 8
-"""Damping ratio of the oscillator that models a skin, and time in which its initial state decays, in periods."""
-SLOWEST_Hz = 5.0
-"""Lowest frequency of the oscillator: slower ones respond less to a ring-up, and their initial state decays slowly."""
 VALUES = 100_000
 """Largest number of sampled drives; if a path needs more, only some of the transducers are sampled."""
 FEWEST = 16
@@ -125,40 +121,6 @@ def response_errors(
     return _worst(ring_up), _worst(flight_time)
 
 
-def changes_of_motion(
-    stimulus: StimulusConfig, rate: complex, spread_s: float, frequency_Hz: float
-) -> tuple[float, float]:
-    """Return the relative change of the largest displacement under a stationary focus due to ring-up and flight times.
-
-    The skin is modelled as a weakly damped oscillator. A steady load that starts late or gradually gives the same
-    displacement as a sudden load, except for changes as fast as the oscillator.
-
-    rate: rate of the pole of the transducers [1/s]
-    spread_s: time between the first and the last arrival of sound [s]; arrivals are uniform in between
-    frequency_Hz: frequency of the oscillator, at which the skin has most of its response
-    """
-    delay = (1.0 / rate).real
-    step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
-    lag, spread = max(1, round(delay / step)), max(1, round(spread_s / step))
-    frequency_Hz = max(frequency_Hz, SLOWEST_Hz)
-    w = 2.0 * math.pi * frequency_Hz
-    before = math.ceil(FORGOTTEN / (frequency_Hz * step))
-    changes = []
-    for begin, end in windows(stimulus, delay):
-        last = max(end, begin + 1.0 / frequency_Hz)
-        cells = np.arange(-before, math.ceil((last - begin) / step))
-        levels = np.sqrt(frames_at(stimulus, np.asarray(begin + (cells + 0.5) * step))[1])
-        late = np.convolve(np.pad(levels, (spread - 1, 0), mode="edge"), np.full(spread, 1.0 / spread), mode="valid")
-        rung = np.abs(_rung(levels.astype(complex), rate * step)) ** 2
-        # Each load is compared with an equally delayed load, because a pure delay only shifts the motion
-        pairs = (rung, np.abs(_later(levels, lag)) ** 2), (late**2, np.abs(_later(levels, max(1, spread // 2))) ** 2)
-        sizes = [[float(np.abs(_oscillation(load, w * step))[before:].max()) for load in pair] for pair in pairs]
-        if all(own > 0.0 for _, own in sizes):
-            changes.append([changed / own - 1.0 for changed, own in sizes])
-    ring_up, flight_time = zip(*changes, strict=True) if changes else ((0.0,), (0.0,))
-    return max(ring_up, key=abs), max(flight_time, key=abs)
-
-
 def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -> tuple[Float, Float]:
     """Return the errors of the pressure at a stationary focus over time, shapes (k,), relative to full level.
 
@@ -169,8 +131,8 @@ def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -
     reach = math.ceil(np.abs(delays).max()) + 2
     for one in np.unique(z):
         same = z == one
-        emitted = _rung(levels.astype(complex), one)
-        ring_up += weights[same].sum() * np.abs(emitted - _later(levels, lag)) ** 2
+        emitted = rung(levels.astype(complex), one)
+        ring_up += weights[same].sum() * np.abs(emitted - later(levels, lag)) ** 2
         # The share of the pressure at each flight time is distributed over the three nearest samples by a parabola
         whole = np.round(delays[same]).astype(int)
         rest = delays[same] - whole
@@ -189,40 +151,29 @@ def _moving(drives: Complex, weights: Float, z: Complex, delays: Float, lag: int
     moments = np.arange(len(drives))
     ring_up, flight_time = np.zeros(len(drives)), np.zeros(len(drives))
     for j, weight in enumerate(weights):
-        emitted = _rung(drives[:, j], z[j])
-        ring_up += weight * np.abs(emitted - _later(drives[:, j], lag)) ** 2
+        emitted = rung(drives[:, j], z[j])
+        ring_up += weight * np.abs(emitted - later(drives[:, j], lag)) ** 2
         flight_time += weight * np.abs(emitted - np.interp(moments - delays[j], moments, emitted)) ** 2
     return np.sqrt(ring_up), np.sqrt(flight_time)
 
 
-def _oscillation(load: Float, angle: float) -> Float:
-    """Return the displacement of an oscillator, initially at rest, over that under a steady load of 1 (bilinear rule).
-
-    angle: phase advance of the oscillator per sample [rad]
-    """
-    c = 2.0 / angle
-    end = c**2 + 2.0 * LOSS * c + 1.0
-    rows = [1.0, 2.0 * (1.0 - c**2) / end, (c**2 - 2.0 * LOSS * c + 1.0) / end]
-    return np.asarray(_recursion(rows, np.convolve(load, [1.0, 2.0, 1.0])[: len(load)] / end))
-
-
-def _recursion(rows: Sequence[complex], loads: Complex | Float) -> Complex:
+def recursion(rows: Sequence[complex], loads: Complex | Float) -> Complex:
     """Return x of rows[0] x[n] + rows[1] x[n-1] + ... = loads[n], with zeros before, by a banded system."""
     bands = np.tile(np.array(rows)[:, None], len(loads))
     return np.asarray(scipy.linalg.solve_banded((len(rows) - 1, 0), bands, loads, check_finite=False))
 
 
-def _rung(drive: Complex, z: complex) -> Complex:
+def rung(drive: Complex, z: complex) -> Complex:
     """Return the exact emission of a pole, initially settled, in the middle of each sample of a held drive."""
     half = np.exp(-0.5 * z)
     loads = (1.0 - half**2) * drive
     loads[0] += half**2 * drive[0]
-    ends = _recursion([1.0, -(half**2)], loads)
+    ends = recursion([1.0, -(half**2)], loads)
     begins = np.concatenate([drive[:1], ends[:-1]])
     return np.asarray(half * begins + (1.0 - half) * drive)
 
 
-def _later(drive: Complex | Float, lag: int) -> Complex | Float:
+def later(drive: Complex | Float, lag: int) -> Complex | Float:
     return np.concatenate([np.repeat(drive[:1], lag), drive[:-lag]])
 
 

@@ -4,10 +4,11 @@
 def register() -> None:
     """Register the palmfield modules with MuJoCo."""
     from palmfield.engine import host
+    from palmfield.engine.afferents_plugin import AfferentsModule
     from palmfield.engine.array_plugin import ArrayModule
     from palmfield.engine.motion_plugin import MotionModule
     from palmfield.engine.skin_plugin import SkinModule
     from palmfield.engine.stimulus_plugin import DriverModule, StimulusModule
 
-    for module in (ArrayModule, StimulusModule, DriverModule, SkinModule, MotionModule):
+    for module in (ArrayModule, StimulusModule, DriverModule, SkinModule, MotionModule, AfferentsModule):
         host.register(module)

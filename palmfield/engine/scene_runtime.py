@@ -141,6 +141,7 @@ class SceneRuntime:
         return HapticState(
             tuple(view.state(instance).reshape(1, -1) for instance in binding.array_instances),
             tuple(view.state(skin.instance).reshape(1, -1) for skin in binding.skins),
+            tuple(view.state(instance).reshape(1, -1) for instance in binding.region_instances),
         )
 
     @cached_property
@@ -347,6 +348,10 @@ class SceneRuntime:
             place = self._places.get(sensor.name) or self.place(skin, sensor)
             arp, motion = self.steps.sense(skin, place)
             sensor.data[:] = channels(force, motion, arp)[0]
+
+    def rates(self, region: int) -> Float:
+        """Return the rates of spikes in a region at the present time [1/s], see `palmfield.simulation.rates`."""
+        return self.model.rates[region].read(self.state.regions[region])[0]
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Return the place of a sensor, stored. Raises SceneError for a site on another body or far from the skin."""

@@ -12,7 +12,7 @@ from matplotlib import colormaps
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.engine.host import World
 from palmfield.engine.scene_runtime import SceneRuntime
-from palmfield.hand.subdivide import split_long_edges
+from palmfield.hand.split_edges import split_long_edges
 from palmfield.simulation.cached import Cached
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.posed_scene import PosedScene, posed_scene

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from palmfield.config import CONFIGS
+from palmfield.engine.afferents_plugin import AfferentsModule
 from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.many_data import ManyData
 from palmfield.engine.motion_plugin import MotionModule, place
@@ -62,7 +63,7 @@ class SceneWorlds:
         for world in self._worlds:
             world.quiet = True
             for module in world.modules.values():
-                if isinstance(module, SkinModule):
+                if isinstance(module, SkinModule | AfferentsModule):
                     module.hand_over()
         like: SceneRuntime = led.scene
         views = [DataView(self.mujoco_model._address, one._address) for one in self.data]
@@ -76,6 +77,7 @@ class SceneWorlds:
             beside = self.runtimes[0] if number else None
             runtime.join(model, self.state.world(number), works[-1], (positions[number], matrices[number]), beside)
             self._sensors.append([view.sensors(skin.instance) for skin in runtime.binding.skins])
+        self._rates = [views[0].sensors(instance) for instance in like.binding.region_instances]
         self.steps = Steps(models, works, self.state, alone=True)
         self._watched = False
         # Parts of the worlds with their data: a graph computes one part while MuJoCo moves the bodies of another
@@ -110,7 +112,7 @@ class SceneWorlds:
             if time_s is not None:
                 one.time = time_s
         self.place()
-        for part in (*self.state.arrays, *self.state.skins):
+        for part in (*self.state.arrays, *self.state.skins, *self.state.regions):
             part[:] = 0.0
         for runtime in self.runtimes:
             runtime.forget()
@@ -243,8 +245,15 @@ class SceneWorlds:
             for sensor in sensors:
                 arp, motion = self.steps.sense(skin, self.runtimes[0].place(skin, sensor))
                 read = channels(force, motion, arp)
-                for own, many in self._parts:
-                    many.put("sensordata", sensor.offsets, read[own])
+                self._fill(sensor, read)
+        for region, sensors in enumerate(self._rates):
+            for sensor in sensors:
+                self._fill(sensor, self.models[0].rates[region].read(self.state.regions[region]))
+
+    def _fill(self, sensor: PluginSensor, read: Float) -> None:
+        """Write the data of a sensor, shape (worlds, channels)."""
+        for own, many in self._parts:
+            many.put("sensordata", sensor.offsets, read[own])
 
     def _advance(self, t1: float) -> None:
         """Advance transducers and skins of all worlds by the last MuJoCo step, with the poses at its beginning."""

@@ -11,7 +11,7 @@ from palmfield.acoustics.nonlinear import Wind, beams, fundamental_left, steepen
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.validity import least_radius_m
 from palmfield.config.skin import OF_SHAPES
-from palmfield.drive.response_error import changes_of_motion
+from palmfield.drive.motion_change import changes_of_motion
 from palmfield.estimate.array_biases import array_biases
 from palmfield.estimate.array_inputs import qualities
 from palmfield.estimate.bias import Bias

@@ -17,7 +17,7 @@ from palmfield.hand.joint_tree import joined
 from palmfield.hand.mano import read_mano
 from palmfield.hand.repair import Finding, Repair, repair
 from palmfield.hand.rigged import RiggedMesh, SkinRig, scaled, strongest
-from palmfield.hand.subdivide import split_long_edges
+from palmfield.hand.split_edges import split_long_edges
 from palmfield.hand.triangles import edge_lengths, vertex_normals
 from palmfield.hand.units import DIGITS, Unit, choose_unit
 from palmfield.types import Float, Int, Surface

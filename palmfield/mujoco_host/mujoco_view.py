@@ -131,6 +131,11 @@ class ModelView:
         """Return the position of a site in its body's frame [m], shape (3,)."""
         return np.array(self.raw.site_pos[3 * site : 3 * site + 3])
 
+    def sphere_m(self, site: int) -> float | None:
+        """Return the radius of a site [m], None if it is not a sphere."""
+        sphere = int(self.raw.site_type[site]) == int(mujoco.mjtGeom.mjGEOM_SPHERE)
+        return float(self.raw.site_size[3 * site]) if sphere else None
+
     def reference_pose(self, kind: Literal["body", "site"], number: int) -> Transform:
         """Return the frame of a body or site in the world, in the reference configuration qpos0."""
         position, turn = np.zeros(3), np.eye(3)

@@ -145,7 +145,8 @@ def spikes(afferent: Afferent, motion: ArrayLike, step_s: float) -> tuple[Float,
     for first in range(0, motion.shape[1], BLOCK):
         driven, step = _driven(afferent, motion[:, first : first + BLOCK], step_s)
         loud = np.flatnonzero(_integrated(driven, step, afferent.tau_s).max(axis=0, initial=0.0) >= 1.0)
-        for number, fired in _fired(afferent, driven[:, loud], step):
+        begun = np.zeros((2, len(loud)))
+        for number, fired in _fired(afferent, driven[:, loud], step, *begun):
             moments.append(np.full(len(fired), number * step))
             numbers.append((first + loud[fired]).astype(np.int32))
     if not moments:
@@ -155,21 +156,70 @@ def spikes(afferent: Afferent, motion: ArrayLike, step_s: float) -> tuple[Float,
     return time[order], ending[order]
 
 
+class AfferentSteps:
+    """Steps units of one class in time, with a state of the caller: a run in parts has the spikes of `spikes`.
+
+    size: numbers of the state of a unit; all are 0 for a skin at rest
+    """
+
+    def __init__(self, afferent: Afferent, step_s: float):
+        """step_s: time between samples of the motion [s]"""
+        self._afferent, self._parts, self._step = afferent, *_parts_of(step_s)
+        self._sections = _filter(afferent, self._step)
+        self.size = 2 * len(self._sections) + 4
+
+    def counts(self, state: Float, motion: Float) -> Int:
+        """Return the number of spikes of n units, (n,), and advance their state, (size, n), in place.
+
+        motion: at the next samples over `largest_under_probe` [m], shape (t, n)
+        """
+        motion = np.concatenate([state[-1:], motion])
+        filtered, state[:-4] = self._filtered(state[:-4], _between(motion, self._parts)[1:])
+        driven = np.concatenate([state[-4:-3], np.maximum(filtered, 0.0)])
+        result = np.zeros(motion.shape[1], np.int32)
+        for _, fired in _fired(self._afferent, driven, self._step, state[-3], state[-2]):
+            result[fired] += 1
+        state[-4], state[-1] = driven[-1], motion[-1]
+        return result
+
+    def _filtered(self, state: Float, motion: Float) -> tuple[Float, Float]:
+        """Return the filtered motion, (t, n), and the state of the filter after it, as `state`."""
+        delays = state.reshape(len(self._sections), 2, -1)
+        filtered, delays = scipy.signal.sosfilt(self._sections, motion, axis=0, zi=delays)
+        return filtered, delays.reshape(state.shape)
+
+
 def _driven(afferent: Afferent, motion: ArrayLike, step_s: float) -> tuple[Float, float]:
     """Return the positive half of the filtered motion, (k, n), and its time step [s]."""
     motion = _checked(motion, step_s)
-    parts = math.ceil(step_s / LONGEST_STEP_S - 1e-9)
-    if parts > 1 and len(motion) > 1:
-        shares = (np.arange(parts) / parts)[:, None]
-        between = motion[:-1, None] + shares * np.diff(motion, axis=0)[:, None]
-        motion = np.concatenate([between.reshape(-1, motion.shape[1]), motion[-1:]])
-    step = step_s / parts
-    analogue = [2.0 * np.pi * np.array(one) for one in (afferent.zeros_Hz, afferent.poles_Hz)]
-    sections = scipy.signal.zpk2sos(*scipy.signal.bilinear_zpk(*analogue, afferent.gain_per_m, 1.0 / step))
+    parts, step = _parts_of(step_s)
+    motion, sections = _between(motion, parts), _filter(afferent, step)
     # A skin that is moved at the start has been so for long
     settled = scipy.signal.sosfilt_zi(sections)[:, :, None] * motion[:1]
     filtered, _ = scipy.signal.sosfilt(sections, motion, axis=0, zi=settled)
     return np.maximum(filtered, 0.0), step
+
+
+def _parts_of(step_s: float) -> tuple[int, float]:
+    """Return the number of steps of a filter between samples, and its time step [s]."""
+    parts = math.ceil(step_s / LONGEST_STEP_S - 1e-9)
+    return parts, step_s / parts
+
+
+def _between(motion: Float, parts: int) -> Float:
+    """Return samples with others linearly between them, parts for each of them but the last, (k, n)."""
+    if parts == 1 or len(motion) < 2:
+        return motion
+    shares = (np.arange(parts) / parts)[:, None]
+    between = motion[:-1, None] + shares * np.diff(motion, axis=0)[:, None]
+    return np.concatenate([between.reshape(-1, motion.shape[1]), motion[-1:]])
+
+
+def _filter(afferent: Afferent, step: float) -> Float:
+    """Return the filter of a class as sections of second order."""
+    analogue = [2.0 * np.pi * np.array(one) for one in (afferent.zeros_Hz, afferent.poles_Hz)]
+    sections: Float = scipy.signal.zpk2sos(*scipy.signal.bilinear_zpk(*analogue, afferent.gain_per_m, 1.0 / step))
+    return sections
 
 
 def _checked(motion: ArrayLike, step_s: float) -> Float:
@@ -196,13 +246,12 @@ def _step_of(step: float, tau_s: float) -> tuple[float, float, float]:
     return left, 1.0 - left - end, end
 
 
-def _fired(afferent: Afferent, driven: Float, step: float) -> Iterator[tuple[int, Int]]:
-    """Yield each step in which units fire, and these units."""
+def _fired(afferent: Afferent, driven: Float, step: float, level: Float, after: Float) -> Iterator[tuple[int, Int]]:
+    """Yield each step in which units fire, and these units. level, after: integrator and inhibition, (n,), in place."""
     left, begin, end = _step_of(step, afferent.tau_s)
     fades = math.exp(-step / afferent.after_s)
-    level, after = np.zeros(driven.shape[1]), np.zeros(driven.shape[1])
     for number in range(1, len(driven)):
-        level = left * level + begin * (driven[number - 1] - after) + end * (driven[number] - fades * after)
+        level[:] = left * level + begin * (driven[number - 1] - after) + end * (driven[number] - fades * after)
         after *= fades
         fired = np.flatnonzero(level >= 1.0)
         if len(fired):

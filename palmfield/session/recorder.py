@@ -24,6 +24,7 @@ from palmfield.simulation.backend import StepTrace
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.rates import CHANNELS as RATES
 from palmfield.simulation.sensors import CHANNELS, UNITS
 from palmfield.simulation.skin_sound import Role
 from palmfield.stimulus.schedule import frames_at
@@ -141,9 +142,9 @@ class Recorder:
         self._written_at = time.monotonic()
         self.begun_s = 0.0
         self.driven: dict[int, MotionDriven] = {}
-        self._sensors = [
-            (sensor.name, sensor.data) for skin in runtime.binding.skins for sensor in world.sensors(skin.instance)
-        ]
+        skins = [skin.instance for skin in runtime.binding.skins]
+        sensed = [*skins, *runtime.binding.region_instances]
+        self._sensors = [(sensor.name, sensor.data) for instance in sensed for sensor in world.sensors(instance)]
 
     def start(self) -> None:
         """Record the state before the first step, and begin to observe steps."""
@@ -154,7 +155,7 @@ class Recorder:
                 from palmfield.session.motion_driven import MotionDriven
 
                 self.driven[number] = MotionDriven(self.world, number)
-        work.observe = tuple(skin.recorded for skin in self.model.skins)
+        work.observe = work.watching(*(skin.recorded for skin in self.model.skins))
         motions = []
         for number, (stepper, numbers) in enumerate(self.runtime.skin_states()):
             reader = work.reader(number, stepper)
@@ -169,7 +170,7 @@ class Recorder:
     def stop(self) -> None:
         """Write the last steps, and end the observation."""
         self.runtime.steps.observer = None
-        self.runtime.work.observe, self.runtime.work.in_coordinates = (None,) * len(self.model.skins), False
+        self.runtime.work.observe, self.runtime.work.in_coordinates = self.runtime.work.watching(), False
         self._write()
 
     def _observe(self, trace: StepTrace) -> None:
@@ -290,7 +291,8 @@ class Recorder:
                 "arp": sound.arp, "pressure": sound.amplitude,
             }  # fmt: skip
             if skin.innervation is not None:
-                block[group("skin", skin.spec.name)]["afferent_motion"] = motions[number][0, :, 3 * nodes :].copy()
+                units = slice(3 * nodes, skin.recorded.shape[0])
+                block[group("skin", skin.spec.name)]["afferent_motion"] = motions[number][0, :, units].copy()
         self._add_stimuli(block, times, posed)
         self._add_drive(block, times, posed)
         return block
@@ -441,6 +443,9 @@ def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compi
     for bound in runtime.binding.skins:
         for sensor in world.sensors(bound.instance):
             block[group("sensors", sensor.name)] = sensor_channels(list(CHANNELS), list(UNITS))
+    for instance in runtime.binding.region_instances:
+        for sensor in world.sensors(instance):
+            block[group("sensors", sensor.name)] = sensor_channels(RATES, ["s-1"] * len(RATES))
     return block
 
 

@@ -22,6 +22,7 @@ SHARED = {
     "palmfield.array": "all worlds share the arrays",
     "palmfield.skin": "all worlds share the skin's mesh and matrices",
     "palmfield.driver": "all worlds share the board",
+    "palmfield.afferents": "all worlds share the regions",
     "palmfield.motion": "different poses are given by `poses`",
 }
 """Reasons why the keys of a plugin cannot differ."""

@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # imported at use: many bodies are in one piece, and most sti
     from palmfield.hand.posed_surface import FaceSampler, SkinBinding
     from palmfield.hand.skinning import SkinnedSurface
     from palmfield.simulation.innervation import Innervation
+    from palmfield.simulation.rates import RegionRates
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
     from palmfield.stimulus.surface_path import SurfacePath
 
@@ -371,6 +372,17 @@ class HapticModel:
     def step_s(self) -> float:
         """Return the time step of the skins [s]."""
         return self.skins[0].layer.sizes.step_s
+
+    @cached_property
+    def rates(self) -> "tuple[RegionRates, ...]":
+        """Return the rates of each region that sensors read."""
+        if not self.spec.regions:
+            return ()
+        from palmfield.simulation.rates import RegionRates
+
+        parts = [(one, self.skins[one.skin]) for one in self.spec.regions]
+        times = self.step_s, self.spec.timestep_s
+        return tuple(RegionRates(one, skin.layer, skin.carrier.bind, *times) for one, skin in parts)
 
     @cached_property
     def still_m(self) -> tuple[float, ...]:

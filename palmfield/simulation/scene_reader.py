@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from palmfield.config import (
+    AfferentsConfig,
     ArrayConfig,
     Config,
     DriverConfig,
@@ -71,7 +72,7 @@ class SkinBodies:
 class SceneBinding:
     """MuJoCo numbers of the objects that a SceneSpec names, in the same order.
 
-    array_instances: plugin instances. array_sites: the frame of each array.
+    array_instances, region_instances: plugin instances. array_sites: the frame of each array.
     transducer_sites: transducer sites of each array, empty except for layout `sites`. frame_sites: the frame of each
     stimulus.
     """
@@ -81,6 +82,7 @@ class SceneBinding:
     transducer_sites: tuple[tuple[int, ...], ...]
     frame_sites: tuple[int, ...]
     skins: tuple[SkinBodies, ...]
+    region_instances: tuple[int, ...] = ()
 
 
 def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
@@ -89,13 +91,13 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
     Raises SceneError with element, key, value and what is allowed for any inconsistent key.
     """
     _check_custom(model)
-    arrays, stimuli, skins, drivers = (
+    arrays, stimuli, skins, drivers, regions = (
         [
             (i, name, with_files_found(model.keys(config, i), config.element(name)))
             for i, plugin, name in model.instances()
             if plugin == config.plugin
         ]
-        for config in (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig)
+        for config in (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig, AfferentsConfig)
     )
     if not skins:
         raise SceneError("the scene has no plugin 'palmfield.skin'; needed: at least one")
@@ -113,6 +115,11 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
     skin_specs, skin_bindings = _skins(skins, model, array_sites[0])
     stimulus_specs, frame_sites = _stimuli(stimuli, model, array_specs, array_sites, skin_specs, skin_bindings)
     _check_still(array_specs, skin_bindings, array_sites, model)
+    made = []
+    for _, name, config in regions:
+        from palmfield.simulation.region_reader import region
+
+        made.append(region(name, config, model, skin_specs, [(one.body, *one.bones) for one in skin_bindings]))
     spec = SceneSpec(
         arrays=array_specs,
         stimuli=stimulus_specs,
@@ -121,6 +128,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
         device=_device(model),
         timestep_s=_timestep(model),
         duration_s=_duration(model),
+        regions=tuple(made),
     )
     binding = SceneBinding(
         array_instances=tuple(i for i, _, _ in arrays),
@@ -128,6 +136,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
         transducer_sites=transducers,
         frame_sites=frame_sites,
         skins=skin_bindings,
+        region_instances=tuple(i for i, _, _ in regions),
     )
     return spec, binding
 

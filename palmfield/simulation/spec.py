@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from palmfield.acoustics.arp import LAWS, ArpLaw, alpha_law
-from palmfield.config import ArrayConfig, Config, DriverConfig, SkinConfig, StimulusConfig
+from palmfield.config import AfferentsConfig, ArrayConfig, Config, DriverConfig, SkinConfig, StimulusConfig
 from palmfield.config.base import naming_keys
 from palmfield.transforms import Placement
 
@@ -109,6 +109,19 @@ class SkinSpec(Named):
 
 
 @dataclass(frozen=True)
+class RegionSpec(Named):
+    """A region of a skin, by its number, whose rates of spikes sensors read. bone: the bone that carries it, or None.
+    centre: of a sphere that contains it, in the frame of the body [m], or None; radius_m: radius of this sphere."""
+
+    name: str
+    config: AfferentsConfig
+    skin: int
+    bone: int | None
+    centre: Triple | None
+    radius_m: float
+
+
+@dataclass(frozen=True)
 class SceneSpec:
     """The whole scene. Equal specs share a model.
 
@@ -123,3 +136,4 @@ class SceneSpec:
     device: str
     timestep_s: float
     duration_s: float
+    regions: tuple[RegionSpec, ...] = ()

@@ -31,13 +31,14 @@ VERSION = 1
 
 class HapticState:
     """State of a scene. arrays: for each array header and emission of its transducers, (w, HEADER + 2 n); skins: for
-    each skin header and numbers, shape (w, HEADER + room). float64; w: worlds, 1 in a plain mj_step
+    each skin header and numbers, shape (w, HEADER + room); regions: for each region of afferents that sensors read,
+    shape (w, size). float64; w: worlds, 1 in a plain mj_step
 
     emitted: complex amplitude that each transducer emits, by array, shape (w, n), views
     """
 
-    def __init__(self, arrays: tuple[Float, ...], skins: tuple[Float, ...]):
-        self.arrays, self.skins = arrays, skins
+    def __init__(self, arrays: tuple[Float, ...], skins: tuple[Float, ...], regions: tuple[Float, ...]):
+        self.arrays, self.skins, self.regions = self._parts = arrays, skins, regions
         self.emitted: tuple[Complex, ...] = tuple(part[:, HEADER:].view(np.complex128) for part in arrays)
 
     def emission(self, worlds: Rows | slice = slice(None)) -> Complex:
@@ -54,11 +55,11 @@ class HapticState:
 
     def copy(self) -> "HapticState":
         """Return a copy with its own memory."""
-        return HapticState(tuple(part.copy() for part in self.arrays), tuple(part.copy() for part in self.skins))
+        return HapticState(*(tuple(map(np.copy, parts)) for parts in self._parts))
 
     def of(self, worlds: slice) -> "HapticState":
         """Return the state of some worlds, as views."""
-        return HapticState(tuple(part[worlds] for part in self.arrays), tuple(part[worlds] for part in self.skins))
+        return HapticState(*(tuple(part[worlds] for part in parts) for parts in self._parts))
 
     def world(self, number: int) -> "HapticState":
         """Return the state of one world, as views."""
@@ -78,7 +79,8 @@ def skin_room(model: HapticModel, skin: int) -> int:
 def new_state(model: HapticModel, worlds: int = 1) -> HapticState:
     """Return a new state with everything at rest."""
     arrays = tuple(np.zeros((worlds, array_room(len(part)))) for part in model.arrays.parts)
-    return HapticState(arrays, tuple(np.zeros((worlds, skin_room(model, i))) for i in range(len(model.skins))))
+    skins = tuple(np.zeros((worlds, skin_room(model, i))) for i in range(len(model.skins)))
+    return HapticState(arrays, skins, tuple(np.zeros((worlds, region.size)) for region in model.rates))
 
 
 def at_rest(state: HapticState, skin: int) -> bool:

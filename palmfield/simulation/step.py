@@ -73,6 +73,8 @@ class Steps:
         self.backends: tuple[Backend, ...] = (*others, self.host)
         self.forces: list[Float] = [np.zeros((len(models), 2, body.parts, 3)) for body in models[0].bodies]
         self.inputs: list[Complex | Float] = []
+        if models[0].rates:
+            self.observer = None
         self._free: Bool = np.ones(len(models), dtype=bool)  # worlds that no backend has taken so far
 
     @property
@@ -82,6 +84,10 @@ class Steps:
 
     @observer.setter
     def observer(self, observer: Observer | None) -> None:
+        if self.models[0].rates:
+            from palmfield.simulation.counting import counting
+
+            observer = counting(self.models[0], self.works, self.state, self.host.steppers, observer)
         for backend in self.backends:
             backend.observer = observer
 

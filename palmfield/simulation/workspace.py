@@ -26,7 +26,7 @@ class Workspace:
 
     path_sound: sound along a predicted path, None without one.
     outside: for each skin, the part of its load outside the class of its modes.
-    observe: the operator (m, unknowns) of each skin that gives the watched values, or None.
+    observe: the operator (m, unknowns) of each skin that gives the watched values, last those in `model.rates`, or None
     in_coordinates: whether steps return coordinates of these values, see `coordinates`.
     """
 
@@ -40,7 +40,7 @@ class Workspace:
         if has_path(model):
             self.path_sound = self._on_path(None if beside is None else beside.path_sound)
         self.outside = [OutsideClass() for _ in model.skins]
-        self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
+        self.observe: tuple[sparse.csr_matrix | None, ...] = self.watching() if beside is None else beside.observe
         self.in_coordinates = False
         self._may_look_ahead = looks_ahead(model)
         # Shared with the other worlds, because a reader of many vectors is as large as the vectors
@@ -51,6 +51,14 @@ class Workspace:
         from palmfield.simulation.path_sound import PathSound
 
         return PathSound(self.model, self.radiation, self.reference, beside)
+
+    def watching(self, *operators: sparse.csr_matrix) -> "tuple[sparse.csr_matrix | None, ...]":
+        """Return `observe` for steps that give the values of these operators first, one for each skin, or of none."""
+        if not self.model.rates:
+            return operators or (None,) * len(self.model.skins)
+        from palmfield.simulation.rates import watched
+
+        return watched(self.model.rates, [skin.innervation for skin in self.model.skins], operators)
 
     def begin_run(self) -> None:
         """Drop the data of the previous run."""

@@ -12,7 +12,7 @@ from palmfield.acoustics.air import absorption_Np_m
 from palmfield.acoustics.calibration_file import Calibration, write_calibration
 from palmfield.acoustics.nonlinear import arp_left, beam_steepening
 from palmfield.config import StimulusConfig
-from palmfield.drive.response_error import changes_of_motion
+from palmfield.drive.motion_change import changes_of_motion
 from palmfield.estimate.array_inputs import p0_band_at
 from palmfield.estimate.biases import ECHO, Bias, biases
 from palmfield.estimate.error_budget import SOURCES, error_budget, field_error

@@ -10,7 +10,7 @@ from palmfield.hand.holes import boundary_loops, cap, least_area_faces
 from palmfield.hand.preset import load_preset
 from palmfield.hand.repair import repair
 from palmfield.hand.selfcross import crossings
-from palmfield.hand.subdivide import split_long_edges
+from palmfield.hand.split_edges import split_long_edges
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import unique_edges
 

@@ -47,7 +47,7 @@ class Watched:
         # Highest ARP of the unit drive of a world on a skin, with the numbers of its pose and drive
         self._units: dict[tuple[int, int], tuple[tuple[int, int], float]] = {}
         self._steps, self.begun_s = 0, simulation.time
-        operators = tuple(skin.layer.surface_operator for skin in model.skins)
+        operators = self.runtimes[0].work.watching(*(skin.layer.surface_operator for skin in model.skins))
         for number, runtime in enumerate(self.runtimes):
             runtime.work.observe = operators
             self._begin(number)
@@ -67,7 +67,7 @@ class Watched:
                 continue
             reader = runtime.work.reader(skin, stepper)
             assert reader is not None
-            self.motion[skin][world, 0] = stepper.read(numbers, reader)[0]
+            self.motion[skin][world, 0] = stepper.read(numbers, reader)[0][..., : self.motion[skin].shape[3]]
         posed, course = runtime.now()
         self._add_sound(world, posed, emitted_at(course, np.array([0])), np.array([self.begun_s]), slice(0, 1))
 
@@ -82,7 +82,7 @@ class Watched:
             for worlds, records in watched:
                 # Whole rows, world by world, because NumPy is slow with index arrays
                 for world, own in zip(worlds.tolist(), records, strict=True):
-                    motion[world, rows] = own
+                    motion[world, rows] = own[..., : motion.shape[3]]
         if len(trace.worlds) == 1 or trace.levels.shape[2] != 1:
             [world] = trace.worlds.tolist()
             runtime = self.runtimes[world]
