@@ -43,13 +43,14 @@ from palmfield.cli.track import track
 from palmfield.cli.trial import trial
 from palmfield.cli.usd import usd
 from palmfield.cli.view import view
+from palmfield.cli.why import why
 from palmfield.errors import PalmfieldError, SceneError
 
 GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Begin": (new, info, keys, stimulus, hand),
     "Simulate": (plan, prepare, run, view, recover),
     "Look at results": (plot, render, usd),
-    "Play on hardware": (boards, board, safety, drive, decode, replay, calibrate, track, trial),
+    "Play on hardware": (boards, board, why, safety, drive, decode, replay, calibrate, track, trial),
     "Study": (sweep, compare, experiment),
     "Maintain": (migrate, cache, bench),
 }

@@ -73,7 +73,7 @@ def _material_warnings(material: Material) -> list[str]:
 def advice(view: Preview) -> list[str]:
     """Return all warnings, each once."""
     model = view.runtime.model
-    result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
+    result = [text for number in range(len(model.skins)) for text in far_focus(view, number)]
     result += hidden_patches(view)
     result += obstructions(view)
     result += _rounded_duration(view)
@@ -81,11 +81,11 @@ def advice(view: Preview) -> list[str]:
     result += array_advice(model)
     result += material_advice(model)
     for stimulus in model.stimuli:
-        result += _silence(view, stimulus)
-        result += _keys_without_effect(stimulus)
-        result += _path_off_the_skin(model, stimulus)
-        result += _hardly_begun(stimulus, view.duration_s)
-        result += _ticks_too_long(stimulus)
+        result += silence(view, stimulus)
+        result += keys_without_effect(stimulus)
+        result += path_off_the_skin(model, stimulus)
+        result += hardly_begun(stimulus, view.duration_s)
+        result += ticks_too_long(stimulus)
     for scattering in scatterings(view):
         if scattering.moves:
             total_s = scattering.solutions * scattering.solution_s
@@ -135,7 +135,7 @@ def _dropped_response(model: HapticModel, number: int) -> list[str]:
     ]
 
 
-def _ticks_too_long(stimulus: StimulusModel) -> list[str]:
+def ticks_too_long(stimulus: StimulusModel) -> list[str]:
     """Warn if control_rate_Hz is too low for a modulation. Rectangles are not affected: they get frames at jumps."""
     config = stimulus.config
     rate, frequency = config.control_rate_Hz, config.am_frequency_Hz
@@ -152,7 +152,7 @@ def _ticks_too_long(stimulus: StimulusModel) -> list[str]:
     ]
 
 
-def _far_focus(view: Preview, number: int) -> list[str]:
+def far_focus(view: Preview, number: int) -> list[str]:
     """Warn if no focus comes close to a skin, now or during scripted motion."""
     model = view.runtime.model
     skin = model.skins[number]
@@ -206,7 +206,7 @@ def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedSc
     return share
 
 
-def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
+def silence(view: Preview, stimulus: StimulusModel) -> list[str]:
     """Warn if a stimulus is silent in the run because of its level or its times."""
     config, name = stimulus.config, stimulus.spec.name
     begin, end = float(view.data.time), float(view.data.time) + view.duration_s
@@ -252,7 +252,7 @@ def _course(stimulus: StimulusModel) -> Float:
     return frames_at(stimulus.config, turn_times(stimulus, COURSE))[0]
 
 
-def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
+def keys_without_effect(stimulus: StimulusModel) -> list[str]:
     """Warn of keys of a modulation that is off."""
     config = stimulus.spec.config
     present = [key for key in AM_KEYS if key in config.model_fields_set and getattr(config, key) is not None]
@@ -265,7 +265,7 @@ def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
     ]
 
 
-def _hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
+def hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
     """Warn if the run ends while the sound still grows. duration_s: duration of the run, from time 0 of MuJoCo"""
     config = stimulus.config
     lasts_s = duration_s - config.start_s
@@ -279,7 +279,7 @@ def _hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
     ]
 
 
-def _path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]:
+def path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]:
     """Warn if a path on the skin leaves the layers on its body."""
     if stimulus.path is None or stimulus.spec.on_skin is None:
         return []
