@@ -96,7 +96,9 @@ def test_a_microphone_tells_reversed_transducers():
 
 
 def test_the_threshold_is_that_of_the_run(scene):
-    weak = checked(scene, felt=True, board=None, stimulus__drive_amplitude=0.05, stimulus__am_frequency_Hz=200.0).findings[-1]
+    weak = checked(
+        scene, felt=True, board=None, stimulus__drive_amplitude=0.05, stimulus__am_frequency_Hz=200.0
+    ).findings[-1]
     assert weak.what == "threshold" and weak.verdict == "look here" and "felt: " in weak.text
 
 
