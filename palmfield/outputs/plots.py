@@ -25,6 +25,8 @@ from palmfield.types import Float
 DPI = 150
 NARROW = 1.5
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+LABEL = 0.1
+"""Width of the label of a spectral line, as a share of the axis. Lines that are closer are listed in the corner."""
 SIDE_LOBES = 0.5
 """Exponent of the colours of pressure: a side lobe of -13 dB is 0.22 of the peak, and its ARP 0.05."""
 
@@ -199,14 +201,14 @@ def _draw_spectra(axes: Any, time_s: Float, motion: Any) -> None:
     for (_, amplitude), colour, line in zip(spectra, COLOURS, LINES, strict=False):
         axes.semilogy(frequency, np.maximum(amplitude * 1e6, 1e-9 * top), line, color=colour)
     last = max([1000.0] + [1.3 * at for at, _ in peaks])
-    before = -np.inf
-    lifted = False
-    for at, height in sorted(peaks):
-        # Two labels in one line need a tenth of the axis
-        lifted = not lifted and at - before < 0.1 * last
-        before = at
-        text, above = f"{at:.4g} Hz\n{_number(height * 1e6)} µm", (0, 30 if lifted else 6)
-        axes.annotate(text, (at, height * 1e6), above, textcoords="offset points", ha="center", fontsize=8)
+    texts = [f"{at:.4g} Hz\n{_number(height * 1e6)} µm" for at, height in peaks]
+    if min(np.diff(sorted(at for at, _ in peaks)), default=last) < LABEL * last:
+        listed = "\n".join(text.replace("\n", ": ") for text in texts)
+        axes.text(0.98, 0.95, listed, ha="right", va="top", fontsize=8, transform=axes.transAxes)
+    else:
+        for (at, height), text in zip(peaks, texts, strict=True):
+            side = "left" if at < 0.5 * LABEL * last else "center"
+            axes.annotate(text, (at, height * 1e6), (0, 6), textcoords="offset points", ha=side, fontsize=8)
     axes.set(xlim=(0, min(last, frequency[-1])), ylim=(top * 1e-4, top * 40))
     _lighten_log_axis(axes)
     axes.set(xlabel="frequency [Hz]", ylabel="amplitude [µm]")
