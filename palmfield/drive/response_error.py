@@ -11,9 +11,8 @@ import numpy as np
 import scipy  # loads its submodules at first use
 
 from palmfield.config import StimulusConfig
-from palmfield.stimulus.modulation import sharpest_s
+from palmfield.stimulus.modulation import period_s, sharpest_s
 from palmfield.stimulus.schedule import frames_at, silent_after_s, turn_rate_Hz
-from palmfield.stimulus.waveform import period_s
 from palmfield.types import Complex, Float, Int
 
 SAMPLES_A_DELAY = 16

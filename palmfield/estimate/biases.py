@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,15 +12,18 @@ from palmfield.acoustics.nonlinear import Wind, beams, fundamental_left, steepen
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.validity import least_radius_m
 from palmfield.config.skin import OF_SHAPES
+from palmfield.drive.board import FULL
 from palmfield.drive.motion_change import changes_of_motion
-from palmfield.estimate.array_biases import array_biases
 from palmfield.estimate.array_inputs import qualities
 from palmfield.estimate.bias import Bias
 from palmfield.estimate.numerics.base_band import base_band
-from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import main_frequencies
 from palmfield.types import Complex, Float
+
+if TYPE_CHECKING:
+    from palmfield.acoustics.calibration_file import Calibration
 
 HANDS = (*OF_SHAPES["hand"], "rigged")
 """Shapes of hands: results measured on hands are reported only for these."""
@@ -50,6 +54,8 @@ ROUND_TRIPS = 8
 """Number of round trips between plate and array in the band; later ones add a tenth or less."""
 NEAR_M = 6e-3
 """Radius about the focus in which the curvature of the skin is measured: half width of a focus [m]."""
+SETTLED = 0.01
+"""Relative difference from the final amplitude below which warm-up has ended."""
 
 
 def biases(
@@ -316,3 +322,52 @@ def _echo_computed(
         Bias("finite size of disc and board in the echo", min(change, 0.0), max(change, 0.0), rims),
         Bias("delay of the echo", -late, late, why),
     ]
+
+
+def array_biases(model: HapticModel, stimulus: int, drive: Complex) -> list[Bias]:
+    """Return the biases from the arrays of a stimulus. drive: drive of all transducers at the loudest moment, shape
+    (N,)
+    """
+    instances = array_instances(model.spec)
+    calibrations = [instances[number].calibration for number in model.stimuli[stimulus].spec.arrays]
+    level = float(np.abs(drive[model.stimuli[stimulus].transducers]).max(initial=0.0))
+    return [
+        _warm_up(calibrations),
+        *_level(calibrations, level),
+        Bias("coupling of transducers", None, None, "sign unknown: mutual coupling of the transducers is not modelled"),
+    ]
+
+
+def _warm_up(calibrations: "list[Calibration | None]") -> Bias:
+    measured = [one.warm_up for one in calibrations if one is not None and one.warm_up is not None]
+    if not measured or len(measured) < len(calibrations):
+        why = "resonance and level drift over minutes; usually the sound becomes weaker"
+        return Bias("warm-up", None, None, f"{why}; not in the calibration")
+    starts = [(1.0 + one.drop) ** 2 - 1.0 for one in measured]
+    settled_s = max(one.time_s * max(math.log(max(abs(one.drop), SETTLED) / SETTLED), 0.0) for one in measured)
+    drops = " and ".join(f"{100 * one.drop:+.1f}" for one in measured)
+    why = f"measured: the pressure starts {drops} % from its final value, and is within 1 % after {settled_s:.0f} s"
+    return Bias("warm-up", min(0.0, *starts), max(0.0, *starts), why)
+
+
+def _level(calibrations: "list[Calibration | None]", level: float) -> list[Bias]:
+    """Return the bias if the pressure is p0 a^exponent; a run assumes p0 a."""
+    measured = [one.level for one in calibrations if one is not None and one.level is not None]
+    if not measured or level == 0.0:
+        return []
+    beyond = [one.linear_to for one in measured if level > FULL * one.linear_to]
+    if beyond:
+        end = min(beyond)
+        why = f"measured: above level {end:.2g} more than 5 % of the pressure is missing; the level here is {level:.2g}"
+        return [Bias("saturation of the drive", None, None, why)]
+    ends = [
+        level ** (2.0 * (one.exponent + side * 1.96 * one.exponent_sd - 1.0)) - 1.0
+        for one in measured
+        for side in (-1, 1)
+    ]
+    exponents = " and ".join(f"{one.exponent:.3f}" for one in measured)
+    why = (
+        f"measured: pressure is proportional to the level to the power {exponents}; the highest level here is "
+        f"{level:.2g}"
+    )
+    return [Bias("level of the drive", min(0.0, *ends), max(0.0, *ends), why)]

@@ -18,10 +18,10 @@ from .microphone import Microphone as Microphone
 from .microphone import microphone_scan as microphone_scan
 from .microphone import through_band as through_band
 from .scan import Scan as Scan
+from .scan import disc_grid as disc_grid
+from .scan import line_grid as line_grid
 from .scan import of_record as of_record
-from .scan_grids import disc_grid as disc_grid
-from .scan_grids import line_grid as line_grid
-from .scan_grids import rectangle_grid as rectangle_grid
+from .scan import rectangle_grid as rectangle_grid
 from .settings import read_settings as read_settings
 from .signal_chain import highpass as highpass
 from .signal_chain import integrated as integrated

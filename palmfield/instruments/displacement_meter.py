@@ -10,7 +10,7 @@ from pydantic import Field
 
 from palmfield.config.base import NonNegative, Positive
 from palmfield.errors import MeasurementError
-from palmfield.instruments.scan_grids import pitch
+from palmfield.instruments.scan import pitch
 from palmfield.instruments.settings import Settings, Vector3
 from palmfield.instruments.signal_chain import sampled
 from palmfield.instruments.surface_motion import SurfaceMotion

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.signal.windows import hann
 
 from palmfield.errors import MeasurementError
-from palmfield.instruments.scan_grids import pitch
+from palmfield.instruments.scan import pitch
 from palmfield.metrics.checks import even_step, trace
 from palmfield.types import Float
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from palmfield.config import StimulusConfig
 from palmfield.errors import OutputError
+from palmfield.stimulus.modulation import period_s
 from palmfield.stimulus.schedule import factors_at, main_frequencies
-from palmfield.stimulus.waveform import period_s
 from palmfield.types import Float, Float32, Int
 
 SAMPLES = 64

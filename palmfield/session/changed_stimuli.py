@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from palmfield.session.simulation import Simulation
-from palmfield.session.world_keys import BOUND, with_texts
+from palmfield.session.worlds import BOUND, with_texts
 from palmfield.simulation.build import build, demands_of
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.state import WHOLE, at_rest, claim, stepper_of

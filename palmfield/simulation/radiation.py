@@ -13,8 +13,7 @@ from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.simulation.cached import Cached
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.skin_sound import ChosenPoints, FreeSound, Key, Role, SkinPoints, Solution
-from palmfield.simulation.visible_samples import VisibleSamples
+from palmfield.simulation.skin_sound import ChosenPoints, FreeSound, Key, Role, SkinPoints, Solution, VisibleSamples
 from palmfield.types import Complex, Float, Float32, Int
 
 ALWAYS = np.ones(1, dtype=bool)

@@ -15,8 +15,7 @@ from palmfield.acoustics.surface_arp import Shades, rows_of
 from palmfield.simulation.cached import Cached
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
-from palmfield.simulation.skin_sound import ChosenPoints, FreeSound, SkinPoints, Solution
-from palmfield.simulation.visible_samples import VisibleSamples
+from palmfield.simulation.skin_sound import ChosenPoints, FreeSound, SkinPoints, Solution, VisibleSamples
 from palmfield.types import Complex, Float, Int
 
 SKIN_SPACING_m, BODY_SPACING_m = 0.008, 0.024

@@ -20,9 +20,9 @@ from palmfield.stimulus.modulation import (
     am_frequencies,
     arp_of_pulses,
     modulation_of,
+    wave,
 )
-from palmfield.stimulus.waveform import period_s as am_period_s
-from palmfield.stimulus.waveform import wave
+from palmfield.stimulus.modulation import period_s as am_period_s
 from palmfield.types import Float
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ import numpy as np
 from palmfield.data import folder
 from palmfield.hand.force_samples import A_FACE
 from palmfield.session.simulation import Simulation
-from palmfield.simulation import visible_samples
+from palmfield.simulation import skin_sound
 
 REFERENCE = Path(__file__).parents[2] / "tests" / "data" / "scene_reference"
 TOLERANCE, IN_POINTS = 1e-5, 5e-4
@@ -62,7 +62,7 @@ def opened(facts: dict[str, Any]) -> Simulation:
 def differences(size: str, name: str) -> list[tuple[str, float]]:
     """What was compared, and its largest difference over the stored array's largest value."""
     # The force then came from all samples of a body, also from those that the arrays don't see
-    with patch.object(visible_samples, "visible", lambda points, normals, arrays: np.ones(len(points), np.bool_)):
+    with patch.object(skin_sound, "visible", lambda points, normals, arrays: np.ones(len(points), np.bool_)):
         return list(_differences(size, name))
 
 
@@ -118,7 +118,7 @@ def stepped(facts: dict[str, Any], nodes: Any = None) -> tuple[dict[str, Any], d
 def store(size: str, name: str, commit: str) -> None:
     """Store the arrays of a scene again, with the commit in the facts as `mesh_commit`; print what changed."""
     facts, before = stored(size, name)
-    with patch.object(visible_samples, "visible", lambda points, normals, arrays: np.ones(len(points), np.bool_)):
+    with patch.object(skin_sound, "visible", lambda points, normals, arrays: np.ones(len(points), np.bool_)):
         found, arrays = stepped(facts)
     channels = zip(("force", "displacement", "ARP"), (FORCE, DISPLACEMENT, ARP), strict=True)
     changes = [

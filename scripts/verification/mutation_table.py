@@ -711,7 +711,7 @@ MUTATIONS = (
     Mutation(
         "points that fill up keep an area",
         "press",
-        "palmfield/simulation/visible_samples.py",
+        "palmfield/simulation/skin_sound.py",
         "visible_areas[count:] = 0.0",
         "visible_areas[count:] *= 1.0",
         "tests/simulation/test_visible_samples.py::test_they_are_filled_up_by_points_without_area[palm_am200]",

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from palmfield.studies.sweeps.batch import MOST_IN_BATCH
-from palmfield.studies.sweeps.variables import variables
+from palmfield.studies.sweeps.store import variables
 
 pytestmark = pytest.mark.usefixtures("kept_operators")
 

@@ -5,7 +5,7 @@ import pytest
 
 import palmfield
 from palmfield.acoustics.calibration_file import Calibration, Level, WarmUp, write_calibration
-from palmfield.estimate.array_biases import array_biases
+from palmfield.estimate.biases import array_biases
 from palmfield.planning.facts import first_drive
 
 LEVEL = Level(exponent=1.2, exponent_sd=0.0, linear_to=0.8)

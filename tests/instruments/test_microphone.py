@@ -107,7 +107,7 @@ def test_a_point_hears_all_alike_and_odd_cosines_are_refused():
 
 
 def test_a_cylinders_face_rises_from_no_doubling_to_more_than_doubling():
-    from palmfield.instruments.microphone_body import face_rise
+    from palmfield.instruments.microphone import face_rise
 
     assert abs(face_rise(0.2, 1.0)) == pytest.approx(1.0, abs=0.01)
     eighth = abs(face_rise(0.003175, K))
@@ -129,7 +129,7 @@ def test_a_cylinders_face_rises_from_no_doubling_to_more_than_doubling():
 def test_the_mesh_of_a_cylinder_is_closed_and_of_its_size():
     import trimesh
 
-    from palmfield.instruments.microphone_body import LENGTH_RADII, cylinder
+    from palmfield.instruments.microphone import LENGTH_RADII, cylinder
 
     body = trimesh.Trimesh(*cylinder(6), process=False)
     assert body.is_watertight and body.volume == pytest.approx(np.pi * LENGTH_RADII, rel=0.03)

@@ -19,7 +19,7 @@ from palmfield.instruments import (
     sampled,
     vibrometer_record,
 )
-from palmfield.instruments.scan_grids import pitch
+from palmfield.instruments.scan import pitch
 
 RATE = 16_000.0
 

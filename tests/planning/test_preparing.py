@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 import palmfield
-from palmfield.planning import preparing as module
-from palmfield.planning.preparing import preparing, preparing_rows
+from palmfield.planning import costs as module
+from palmfield.planning.costs import preparing, preparing_rows
 from palmfield.session.preview import preview
 from palmfield.simulation.small_models import mode_estimate
 from palmfield.skin.costs import modal_start_s, modal_step_s, modes_s, reduced_s, wedges_s

@@ -13,7 +13,7 @@ from palmfield.data import folder
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.visible_samples import PADDED_TO, visible
+from palmfield.simulation.skin_sound import PADDED_TO, visible
 from palmfield.transforms import Placement
 
 HERE = Placement((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))

@@ -11,7 +11,7 @@ from scipy.special import j1
 from palmfield.config import StimulusConfig, parse
 from palmfield.errors import SceneError
 from palmfield.stimulus.am_table import AmTable
-from palmfield.stimulus.modulation import arp_lines, peak_amplitude, sharpest_s
+from palmfield.stimulus.modulation import arp_lines, peak_amplitude, period_s, sharpest_s
 from palmfield.stimulus.resolved import resolved
 from palmfield.stimulus.schedule import (
     arp_factors,
@@ -23,7 +23,6 @@ from palmfield.stimulus.schedule import (
     repeats,
     substep_moments,
 )
-from palmfield.stimulus.waveform import period_s
 
 PERIOD = AmTable("period", (0.0, 0.2, 0.6), (-0.5, 0.8, 0.1))
 COURSE = AmTable("course", (0.01, 0.03, 0.05), (-0.4, 1.0, 0.2))

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
 from palmfield.stimulus.curves import (
+    GLYPHS,
     PlanePath,
     circle,
     letters,
@@ -18,7 +19,6 @@ from palmfield.stimulus.curves import (
     zigzag,
     zigzagged,
 )
-from palmfield.stimulus.letters import GLYPHS
 
 SHAPES = [
     line(0.03),

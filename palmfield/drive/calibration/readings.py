@@ -13,9 +13,8 @@ from palmfield.acoustics.focus import compensate, focus
 from palmfield.drive.calibration.element_fit import fit_elements
 from palmfield.drive.calibration.focus_scan import fit_pose
 from palmfield.drive.calibration.frequency_sweep import fit_sweep
-from palmfield.drive.calibration.level_ladder import fit_level
+from palmfield.drive.calibration.level_ladder import fit_level, fit_warm_up
 from palmfield.drive.calibration.plate_scale import fit_plate
-from palmfield.drive.calibration.warm_up import fit_warm_up
 from palmfield.errors import SceneError
 from palmfield.tables import read_table
 from palmfield.types import Air, Array, Complex, Estimate, Float

@@ -14,12 +14,12 @@ from types import FrameType
 from typing import Any, Self
 
 from palmfield.drive.board import Board
-from palmfield.drive.exit_signals import handling, in_main_thread, leave
 from palmfield.drive.playback import TimedFrame
 from palmfield.drive.player.messages import END, FRAME, JOB, MUTE, SCHEDULE, Inbox, Job, LiveFrame, Schedule, packed
 from palmfield.drive.player.report import PlayReport
 from palmfield.drive.ports import open_port
 from palmfield.errors import DeviceError
+from palmfield.interrupts import handling, in_main_thread, leave
 
 STARTS_WITHIN_S = 30.0
 POSIX = os.name == "posix"

@@ -29,6 +29,7 @@ from palmfield.skin.reduction.reduced_stepper import (
 )
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.stimulus.modulation import arp_lines
+from palmfield.stimulus.modulation import period_s as am_period_s
 from palmfield.stimulus.schedule import (
     first_point,
     frames_at,
@@ -39,7 +40,6 @@ from palmfield.stimulus.schedule import (
     repeats,
     turn_rate_Hz,
 )
-from palmfield.stimulus.waveform import period_s as am_period_s
 from palmfield.types import Complex, Float, Float32
 
 SHARE = 0.1

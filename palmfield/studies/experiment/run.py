@@ -17,9 +17,8 @@ from palmfield.session.open_scene import no_scene
 from palmfield.session.preview import Preview, preview
 from palmfield.studies.experiment.design import Design, read_design
 from palmfield.studies.experiment.log import LogWriter, Trial, next_trial
-from palmfield.studies.experiment.markers import Markers
 from palmfield.studies.experiment.observers import Keyboard, Respondent, Shown, Stopped, observer_of
-from palmfield.studies.experiment.presentation import Sender, presentation
+from palmfield.studies.experiment.presentation import Markers, Sender, presentation
 from palmfield.studies.experiment.procedures import Answered
 
 OnTrial = Callable[[Trial, float], None]

@@ -13,8 +13,7 @@ from palmfield.config import StimulusConfig
 from palmfield.errors import PalmfieldError
 from palmfield.session.open_scene import as_text
 from palmfield.session.simulation import Simulation
-from palmfield.session.world_keys import axes_of
-from palmfield.session.worlds import open_worlds
+from palmfield.session.worlds import axes_of, open_worlds
 from palmfield.simulation.build import keep_model
 from palmfield.simulation.build_worlds import Shared
 from palmfield.studies.sweeps.groups import Keys

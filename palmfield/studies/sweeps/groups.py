@@ -15,8 +15,7 @@ from palmfield.config import DriverConfig
 from palmfield.drive.boards import BOARDS
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.session.preview import Preview, preview
-from palmfield.session.world_keys import WorldKeys, world_specs
-from palmfield.session.worlds import stimulus_texts
+from palmfield.session.worlds import WorldKeys, stimulus_texts, world_specs
 from palmfield.simulation.build import demands_of, stimuli_of
 from palmfield.simulation.build_worlds import Shared, strictest
 from palmfield.simulation.model import SkinModel

@@ -12,7 +12,7 @@ from palmfield.config import CONFIGS, FILE_KEYS, allowed
 from palmfield.errors import SceneError
 from palmfield.session.open_scene import as_text, instances_of
 from palmfield.session.scene_text import Instance
-from palmfield.session.world_keys import BOUND
+from palmfield.session.worlds import BOUND
 from palmfield.studies.sweeps.design import Design, Value
 
 COMPONENT = re.compile(r"(?P<key>.+)\[(?P<place>\d+)\]")

@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError
 from palmfield.outputs.style import COLOURS, LINES, save, style
-from palmfield.studies.sweeps.store import swept_keys
-from palmfield.studies.sweeps.variables import FAILED
+from palmfield.studies.sweeps.store import FAILED, swept_keys
 from palmfield.types import Float
 
 DPI = 150

@@ -2,6 +2,8 @@
 
 The description of the sweep is written first. The chunks of each array are replaced whole (Zarr writes a new file and
 renames it), and `status` comes last. So a point counts as done only when it is complete, even if a process was killed.
+
+They are as in `palmfield.outputs.schema`. The dimensions here come after those of the design.
 """
 
 import json
@@ -22,16 +24,102 @@ from palmfield.outputs.schema import LABELS, Variable
 from palmfield.studies.sweeps.batch import Failed
 from palmfield.studies.sweeps.design import Design
 from palmfield.studies.sweeps.point import Numbers
-from palmfield.studies.sweeps.variables import COURSES, DONE, FAILED, variables
 
 DATASET = "sweep.zarr"
 BLOCK_BYTES, TEXT_BYTES = 4096, 64
 """Block size of the file system, and assumed size of a text [bytes]."""
 CHUNK_POINTS = 4096
 """Points in one chunk of a variable with one or a few numbers for each point."""
-
 Labels = Mapping[str, NDArray[Any]]
 """Coordinates of dimensions other than the keys: `skin`, `sensor`, `stimulus`, `observer`, `time`, `step_time`."""
+NOT_DONE, DONE, FAILED = 0, 1, 2
+_NORMAL = "positive outward: a push is negative"
+_MOST = "at the vertex that moves most"
+VARIABLES: dict[str, Variable] = {
+    "peak_displacement": Variable(
+        ("skin",), "float64", "m", "largest magnitude of the normal displacement, over all vertices and substeps"
+    ),
+    "peak_velocity": Variable(
+        ("skin",), "float64", "m s-1", "largest magnitude of the normal velocity, over all vertices and substeps"
+    ),
+    "rms_displacement": Variable(
+        ("skin",), "float64", "m", f"root mean square of the normal displacement over the run, {_MOST}"
+    ),
+    "rms_displacement_without_mean": Variable(
+        ("skin",), "float64", "m", f"root mean square of the normal displacement about its mean over the run, {_MOST}"
+    ),
+    "rms_displacement_last_period": Variable(
+        ("skin",), "float64", "m",
+        f"root mean square of the normal displacement over the last period of main_frequency, {_MOST}",
+    ),
+    "rms_velocity": Variable(
+        ("skin",), "float64", "m s-1", f"root mean square of the normal velocity over the run, {_MOST}"
+    ),
+    "rms_velocity_last_period": Variable(
+        ("skin",), "float64", "m s-1",
+        f"root mean square of the normal velocity over the last period of main_frequency, {_MOST}",
+    ),
+    "peak_arp": Variable(
+        ("skin",), "float64", "Pa", "largest acoustic radiation pressure (ARP), over all vertices and substeps",
+        sign="positive values push into the surface",
+    ),
+    "loudest_position": Variable(
+        ("skin", "xyz"), "float64", "m", "vertex whose normal displacement is largest", "body frame at rest",
+    ),
+    "normal_displacement": Variable(
+        ("skin", "time"), "float32", "m", "normal displacement at loudest_position", sign=_NORMAL
+    ),
+    "sensor_displacement": Variable(
+        ("sensor", "step_time"), "float32", "m", "normal displacement at the sensors, at the start of each step",
+        sign=_NORMAL,
+    ),
+    "peak_force": Variable(
+        ("skin",), "float64", "N", "largest magnitude of the acoustic force on the body of the skin, mean over a step"
+    ),
+    "mean_force": Variable(
+        ("skin", "xyz"), "float64", "N", "acoustic force on the body of the skin, mean over the run", "world",
+        "acts on the body",
+    ),
+    "drive_level": Variable(
+        ("stimulus",), "float64", "1",
+        "largest amplitude of the transducers of the stimulus at the highest ARP, 1 is full drive",
+    ),
+    "main_frequency": Variable(
+        ("skin",), "float64", "Hz",
+        "frequency of the strongest response of the skin; none for a load that does not repeat",
+    ),
+    "level": Variable(
+        ("skin", "observer"), "float64", "dB",
+        f"level of the line at main_frequency above the threshold of the observer (dB SL), {_MOST}; for "
+        "hasegawa_2018 that of the force",
+    ),
+    "level_all_lines": Variable(
+        ("skin", "observer"), "float64", "dB",
+        f"level of all main lines together above the threshold of the observer (dB SL), {_MOST}",
+    ),
+    "level_with_area": Variable(
+        ("skin", "observer"), "float64", "dB",
+        "level_all_lines, with thresholds for the area that moves by half of the maximum or more",
+    ),
+    "level_why": Variable(("skin", "observer"), "str", "", "reason why the observer applies or is refused"),
+}  # fmt: skip
+"""Variables of every sweep. NaN if a point has failed, is not computed yet, or has no such number."""
+ERRORS: dict[str, Variable] = {
+    "displacement_error": Variable(
+        ("skin",), "float64", "1", "estimated relative error of the displacement: mesh, step, reduction, cut edges"
+    ),
+    "displacement_error_missing": Variable(("skin",), "str", "", "reason for a missing estimate"),
+}
+"""Variables of a sweep with estimates of errors."""
+RECORDS: dict[str, Variable] = {
+    "substep": Variable((), "float64", "s", "substep of the skins; normal_displacement is resampled where it differs"),
+    "wall_time": Variable((), "float64", "s", "wall time of the point"),
+    "failure": Variable((), "str", "", "cause of a failed point"),
+    "status": Variable((), "int8", "1", "0 not computed yet, 1 done, 2 failed"),
+}
+"""Variables on the computation."""
+COURSES = ("time", "step_time")
+"""Dimensions along which each point has many numbers."""
 
 
 def size_bytes(design: Design, labels: Labels, errors: bool) -> int:
@@ -50,7 +138,7 @@ class SweepStore:
     """The dataset of one sweep, open for writing.
 
     path: path of the Zarr group; status: status of each point, shape of the design (see
-    `palmfield.studies.sweeps.variables`)
+    `palmfield.studies.sweeps.store`)
     """
 
     def __init__(self, out: Path, design: Design, labels: Labels, attributes: Mapping[str, Any], errors: bool) -> None:
@@ -267,3 +355,8 @@ def _text(identity: Mapping[str, Any]) -> str:
 def _short(value: Any) -> str:
     text = value if isinstance(value, str) else json.dumps(value)
     return text if len(text) < 200 else f"{text[:200]}..."
+
+
+def variables(errors: bool) -> dict[str, Variable]:
+    """Return all variables of a sweep, with estimates of errors or without."""
+    return VARIABLES | (ERRORS if errors else {}) | RECORDS

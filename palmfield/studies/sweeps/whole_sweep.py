@@ -37,8 +37,7 @@ from palmfield.studies.sweeps.groups import Group, groups_of, in_words
 from palmfield.studies.sweeps.keys import SceneKeys, scene_keys
 from palmfield.studies.sweeps.overview import Overview, overview
 from palmfield.studies.sweeps.picture import plot_sweep
-from palmfield.studies.sweeps.store import SweepStore, open_dataset, size_bytes
-from palmfield.studies.sweeps.variables import DONE, FAILED
+from palmfield.studies.sweeps.store import DONE, FAILED, SweepStore, open_dataset, size_bytes
 from palmfield.terminal import bars
 from palmfield.threads import cores
 

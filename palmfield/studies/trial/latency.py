@@ -16,8 +16,8 @@ from palmfield.motion.line_listener import By
 from palmfield.motion.tracking import Stream, stream_of, write_stream
 from palmfield.session.live_scene import LiveScene
 from palmfield.session.preview import Preview, preview
+from palmfield.studies.trial.course import Tracker
 from palmfield.studies.trial.live import Live, LivePlayed, play_live
-from palmfield.studies.trial.pose_estimate import Tracker
 from palmfield.studies.trial.sending import Drives
 from palmfield.types import Float
 

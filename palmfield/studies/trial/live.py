@@ -16,8 +16,8 @@ from palmfield.session.preview import Preview
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.frames import Frames
 from palmfield.simulation.posed_scene import PosedScene
+from palmfield.studies.trial.course import Tracker
 from palmfield.studies.trial.field import focus_in
-from palmfield.studies.trial.pose_estimate import Tracker
 from palmfield.studies.trial.sending import VIRTUAL, MadeFrame, Sent, send
 from palmfield.types import Float
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from palmfield.acoustics.calibration_file import Calibration
 from palmfield.drive.board import Board
+from palmfield.studies.trial.course import Tracker
 from palmfield.studies.trial.field import TrialMoment, TrueSound
-from palmfield.studies.trial.pose_estimate import Tracker
 from palmfield.studies.trial.recording import Compared
 from palmfield.studies.trial.sending import VIRTUAL, Sent
 from palmfield.studies.trial.skin_response import SkinResponse

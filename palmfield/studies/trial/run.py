@@ -27,10 +27,9 @@ from palmfield.session.preview import Preview, preview
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.frames import Frames
 from palmfield.simulation.model import HapticModel
-from palmfield.studies.trial.course import SceneCourse
+from palmfield.studies.trial.course import PoseEstimator, SceneCourse, Tracker
 from palmfield.studies.trial.field import TrialMoment, TrueSound, focus_in, last_due, level_of, same_level
 from palmfield.studies.trial.live import Live, play_live
-from palmfield.studies.trial.pose_estimate import PoseEstimator, Tracker
 from palmfield.studies.trial.recording import Compared, Recording, compare
 from palmfield.studies.trial.report import Numbers, as_text, numbers_of, table_of
 from palmfield.studies.trial.sending import VIRTUAL, Drives, MadeFrame, Sent, send

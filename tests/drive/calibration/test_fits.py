@@ -11,9 +11,8 @@ from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
 from palmfield.drive.calibration.focus_scan import fit_pose
 from palmfield.drive.calibration.frequency_sweep import fit_sweep
-from palmfield.drive.calibration.level_ladder import fit_level
+from palmfield.drive.calibration.level_ladder import fit_level, fit_warm_up
 from palmfield.drive.calibration.plate_scale import fit_plate, plate_force
-from palmfield.drive.calibration.warm_up import fit_warm_up
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array
 

@@ -19,9 +19,8 @@ from palmfield.instruments.scan import Scan, of_record
 from palmfield.instruments.surface_motion import SurfaceMotion
 from palmfield.outputs import instances, open_result
 from palmfield.outputs.scan_files import read_scan, write_scan
-from palmfield.studies.compare.run import FILES, compare
-from palmfield.studies.compare.suspected_faults import above
-from palmfield.studies.compare.waves import guided_modes, in_words
+from palmfield.studies.compare.report import guided_modes, in_words
+from palmfield.studies.compare.run import FILES, above, compare
 
 pytestmark = pytest.mark.usefixtures("kept_operators")
 

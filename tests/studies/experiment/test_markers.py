@@ -8,7 +8,7 @@ import serial
 
 from palmfield.drive.trigger_line import TriggerLine
 from palmfield.errors import DeviceError, OutputError
-from palmfield.studies.experiment.markers import LslMarker, Markers
+from palmfield.studies.experiment.presentation import LslMarker, Markers
 
 pytestmark = pytest.mark.wall_clock
 

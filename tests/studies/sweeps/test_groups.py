@@ -10,7 +10,7 @@ from palmfield.studies.sweeps.batch import Failed, Point, Task, run_batch
 from palmfield.studies.sweeps.design import grid, listed
 from palmfield.studies.sweeps.groups import groups_of, in_words
 from palmfield.studies.sweeps.keys import scene_keys
-from palmfield.studies.sweeps.variables import DONE, NOT_DONE
+from palmfield.studies.sweeps.store import DONE, NOT_DONE
 
 FREQUENCY, LEVEL, DEPTH = "stimulus.am_frequency_Hz", "stimulus.drive_amplitude", "stimulus.am_depth"
 FOCUS_X, THICKNESS = "stimulus.focus_m[0]", "skin.thickness_m"

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from palmfield.errors import OutputError
 from palmfield.studies.sweeps import picture
 from palmfield.studies.sweeps.design import grid, listed
-from palmfield.studies.sweeps.variables import DONE, FAILED, NOT_DONE
+from palmfield.studies.sweeps.store import DONE, FAILED, NOT_DONE
 
 SKINS, OBSERVERS = ["palm", "tip"], ["first", "second"]
 

@@ -13,7 +13,7 @@ from palmfield.errors import OutputError, PalmfieldError
 from palmfield.outputs import instances, normal_component
 from palmfield.studies.sweeps import batch, store, whole_sweep
 from palmfield.studies.sweeps.design import Range, listed, sobol
-from palmfield.studies.sweeps.variables import DONE, FAILED, NOT_DONE
+from palmfield.studies.sweeps.store import DONE, FAILED, NOT_DONE
 
 pytestmark = pytest.mark.usefixtures("kept_operators")
 

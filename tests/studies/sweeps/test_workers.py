@@ -13,8 +13,7 @@ import palmfield
 from palmfield.errors import PalmfieldError
 from palmfield.studies.sweeps import whole_sweep
 from palmfield.studies.sweeps.cluster import local_cluster, slots, visible_gpus
-from palmfield.studies.sweeps.store import open_dataset
-from palmfield.studies.sweeps.variables import DONE
+from palmfield.studies.sweeps.store import DONE, open_dataset
 from palmfield.threads import cores
 
 LEVEL = "stimulus.drive_amplitude"

@@ -13,8 +13,7 @@ from palmfield.drive.frame_log import read_log
 from palmfield.hardware.decode import decode
 from palmfield.session.preview import preview
 from palmfield.studies.trial import Tracker, trial
-from palmfield.studies.trial.course import SceneCourse
-from palmfield.studies.trial.pose_estimate import PoseEstimator
+from palmfield.studies.trial.course import PoseEstimator, SceneCourse
 from palmfield.types import Air
 
 SPEED_m_s = np.array([0.2, 0.1, 0.05])

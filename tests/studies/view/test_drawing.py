@@ -8,8 +8,8 @@ import trimesh
 from matplotlib import colormaps
 from pygltflib import GLTF2
 
-from palmfield.studies.view.colours import motion_scale, phase_colours, rounded_up, size_scale
 from palmfield.studies.view.glb import GlbMesh, linear
+from palmfield.studies.view.page import motion_scale, phase_colours, rounded_up, size_scale
 from palmfield.transforms import facing
 
 page = pytest.importorskip("palmfield.studies.view.page", reason="the extra `view` is not installed")
