@@ -1,6 +1,7 @@
 """Draw a picture of the scene by ray casting with Warp, without a window or OpenGL."""
 
 from pathlib import Path
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +37,8 @@ UNEVEN = 0.05
 """Step of linear RGB between two pixels from which both get all their samples: edges, fine parts and coarse shade."""
 AZIMUTHS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
 BOARD_RIM_M = 0.008
+CAPTION = 110
+"""Number of characters in a line of the caption."""
 # magma from pale to dark, without black, so that silence has the colour of skin and shading is always visible
 COLOURS = ListedColormap(colormaps["magma_r"](np.linspace(0.07, 0.82, 256)))
 
@@ -97,7 +100,8 @@ def render_scene(
         figure.colorbar(scale, cax=bar).outline.set_visible(False)
         bar.set_title("Pa", fontsize=8, loc="left", fontweight="normal")
         figure.text(0.025, 0.955, "Peak sound pressure on the surface", fontsize=12, fontweight="bold", va="center")
-        figure.text(0.025, 0.915, _caption(result, scene), fontsize=8.5, color="#555555", va="center")
+        caption = fill(_caption(result, scene), CAPTION)
+        figure.text(0.025, 0.93, caption, fontsize=8.5, color="#555555", va="top")
         save(figure, path, DPI)
 
 
