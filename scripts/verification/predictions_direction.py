@@ -41,14 +41,14 @@ PATH_M, ASIDE_M = 0.16, 0.02
 PERIOD_S, QUIET_S, STEP_S, HIGHEST_Hz = 0.5, 0.06, 1.25e-4, 1000.0
 PLACES = 320
 ORDER_S, ORDERS_S = 0.04, (0.02, 0.06)
-"""Interval of two touches whose order is judged right in 75 %: 20 to 60 ms (S. Yamamoto and S. Kitazawa, Scholarpedia 10
-(2015) 8249, first paragraph); the middle is used."""
+"""Interval of two touches whose order is judged right in 75 %: 20 to 60 ms (S. Yamamoto and S. Kitazawa, Scholarpedia
+10 (2015) 8249, first paragraph); the middle is used."""
 LEVELS_Pa = (80.0, 320.0)
 """Peak ARP of the focus: the first is 10 mN on a spot of 10.3 mm, the second four times as much. The first counts."""
 CHANCE = 0.563
 """Highest share that 240 fair trials reach in 95 %, as in rows R19 of the gallery."""
 FREQUENCIES_Hz = (20.0, 30.0, 50.0, 80.0, 100.0, 150.0, 200.0, 250.0, 300.0, 400.0, 500.0)
-THRESHOLD_N, PER_Pa_N = 0.4e-3, 83.9e-9
+THRESHOLD_N, PER_Pa_N = 0.4e-3, 83.9e-6
 """Force at threshold in the finding, and force on 144 mm2 (round) of a Gaussian spot of 10.3 mm per Pa."""
 
 
