@@ -11,18 +11,20 @@ import tempfile
 import threading
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import filelock
 import numpy as np
 import platformdirs
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from palmfield.cache import WAIT_S
 from palmfield.errors import DeviceError, PalmfieldError, reason_of
 from palmfield.phases import phase
 
@@ -223,16 +225,38 @@ class _Loader:
 
 _moving = threading.Lock()
 """Held while the folder of kernels changes."""
+absent: list[str] = []
+"""Names of the modules that this process did not find compiled."""
 
 
 def _load(module: wp.Module, device: str, block_dim: int) -> None:
-    """Compile or read a module; if its folder takes no new files, compile in a temporary folder."""
+    """Read a module that any process has compiled, or compile it; if its folder takes no new files, in another one."""
     with _moving:
         folder = str(wp.config.kernel_cache_dir)
+        compiled = Path(folder, module.get_module_identifier(block_dim=block_dim))
+        alone = not compiled.exists()
+        if alone:
+            absent.append(compiled.name)
         # Before the compilation, because LLVM ends the process if it cannot write
-        if not Path(folder, module.get_module_identifier(block_dim=block_dim)).exists() and (error := _refusal(folder)):
+        if alone and (error := _refusal(folder)):
             wp.config.kernel_cache_dir = os.environ[KERNELS] = _temporary_folder(folder, error)
-    wp.load_module(module, device=device, block_dim=block_dim)
+            alone = False  # no other process has this folder
+    with _alone(compiled) if alone else nullcontext():
+        wp.load_module(module, device=device, block_dim=block_dim)
+
+
+@contextmanager
+def _alone(compiled: Path) -> Iterator[None]:
+    """Wait for another process that compiles this module, which is then read from the folder."""
+    lock = filelock.FileLock(f"{compiled}.lock", timeout=WAIT_S)
+    with suppress(OSError, NotImplementedError, filelock.Timeout):  # then both processes compile it
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
+        with suppress(OSError):
+            os.unlink(lock.lock_file)
 
 
 _Load = tuple[_Loader, tuple[Future[None], Callable[[], None]]]

@@ -94,11 +94,43 @@ def test_without_room_for_a_temporary_folder_the_error_says_so(usual_folder, mon
 def test_kernels_are_read_from_a_folder_that_takes_no_more(usual_folder, monkeypatch):
     module = kernel_of_its_own("stored").module
     device.load_kernels(module, "cpu")
+    (name,) = os.listdir(usual_folder)
+    assert device.absent.count(name) == 1
     tried = compilations(monkeypatch)
     no_room(monkeypatch, errno.EROFS, usual_folder)
     module.unload()
     device._load(module, "cpu", 1)
+    assert device.absent.count(name) == 1
     assert tried == [] and wp.config.kernel_cache_dir == str(usual_folder)
+
+
+def test_two_processes_at_once_compile_a_module_once(tmp_path):
+    code = f"""
+import os, time
+from pathlib import Path
+import warp as wp
+from palmfield import device
+from warp_kernels import mesh_query
+folder, build = Path({str(tmp_path)!r}), wp._src.build.build_cpu
+def noted(*words, **options):
+    with open(folder / "builds", "a") as file:
+        file.write("one ")
+    while len(list(folder.glob("begun-*"))) < 2:
+        time.sleep(0.01)
+    return build(*words, **options)
+wp._src.build.build_cpu = noted
+(folder / f"begun-{{os.getpid()}}").touch()
+device.load_kernels(mesh_query, "cpu")
+print(mesh_query.__name__)
+"""
+    environment = os.environ | {device.KERNELS: str(tmp_path / "kernels")}
+    both = [
+        subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    assert [process.communicate()[0] for process in both] == ["warp_kernels.mesh_query\n"] * 2
+    assert (tmp_path / "builds").read_text() == "one "
+    assert not list(tmp_path.rglob("*.lock"))
 
 
 def test_kernels_of_another_processor_compiler_or_warp_are_not_used(usual_folder, monkeypatch):

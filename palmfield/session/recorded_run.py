@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 from rich.progress import Progress
 
-from palmfield.device import resolve
+from palmfield.device import absent, load_ahead, resolve
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.interrupts import interrupts_delayed
 from palmfield.outputs.schema import MUJOCO_SCENE, group
@@ -354,6 +354,11 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
     """Do everything that can fail before the first step."""
     started = time.perf_counter()
     sim.runtime.prepare(bar)
+    if _second and absent:
+        from warp_kernels import raycast
+
+        # For the second process, which would begin with its picture, and compile Warp's headers again
+        load_ahead((raycast,), "cpu")
     static, attributes = initial_block(sim), result_attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
     LOG.debug("prepared the skin layers in %.2f s", time.perf_counter() - started)
