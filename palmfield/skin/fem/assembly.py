@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -147,10 +147,15 @@ def assemble(
 
     @phase("matrices")
     def matrices() -> Matrices:
-        reduce = directions.T.tocsr()
+        project = directions.T.tocsr()
+        # If each unknown is one component of a node, a selection takes half the time of two products
+        components = project.indices if project.nnz == project.shape[0] and (project.data == 1.0).all() else None
 
         def free(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-            result = sparse.csr_matrix(reduce @ matrix @ directions)
+            if components is not None:
+                result = matrix[components][:, components]
+            else:
+                result = sparse.csr_matrix(project @ matrix @ directions)
             result.sort_indices()
             result.eliminate_zeros()
             return result
@@ -260,11 +265,13 @@ class _Sums:
 
     def add(self, name: str, matrix: sparse.csr_matrix, first: int = 0) -> None:
         """Add a block that begins in row `first`."""
-        self.total[name] = self.total[name] + placed(matrix, first, self.size)
+        block, before = placed(matrix, first, self.size), self.total[name]
+        self.total[name] = before + block if before.nnz else block
 
     def relax(self, law: Material, stiffness: sparse.csr_matrix, first: int = 0) -> None:
-        before, owner = self.relaxing.get(law.law, (sparse.csr_matrix((self.size, self.size)), law))
-        self.relaxing[law.law] = (before + placed(stiffness, first, self.size), owner)
+        block = placed(stiffness, first, self.size)
+        before, owner = self.relaxing.get(law.law, (None, law))
+        self.relaxing[law.law] = (block if before is None else before + block, owner)
 
 
 def placed(matrix: sparse.csr_matrix, first: int, size: int) -> sparse.csr_matrix:
@@ -353,24 +360,23 @@ class _Pattern:
         self.nodes = len(mesh.nodes)
         width = mesh.elements.shape[1]
         rows = np.repeat(mesh.elements, width, axis=1).ravel().astype(np.int64)
-        keys, self.slot = np.unique(rows * self.nodes + np.tile(mesh.elements, (1, width)).ravel(), return_inverse=True)
+        keys, slots = np.unique(rows * self.nodes + np.tile(mesh.elements, (1, width)).ravel(), return_inverse=True)
         self.indices = keys % self.nodes
         self.starts = np.searchsorted(keys // self.nodes, np.arange(self.nodes + 1))
-
-    def _sum(self, values: Float) -> Float:
-        return np.bincount(self.slot, weights=values.ravel(), minlength=len(self.indices)).astype(np.float64)
+        ends = np.concatenate([[0], np.cumsum(np.bincount(slots, minlength=len(keys)))])
+        # Adds the values of all pairs of each slot, in the order of the elements
+        self._sum = sparse.csr_matrix((np.ones(len(slots)), np.argsort(slots, kind="stable"), ends))
 
     def blocks(self, *parts: tuple[Float, Float]) -> sparse.csr_matrix:
         """Return the sum of factors (m, 1, 1) times element blocks (m, 18, 18, 3, 3), csr, 3 components per node."""
-        data = np.empty((len(self.indices), 3, 3))
-        for i in range(3):
-            for j in range(3):
-                data[:, i, j] = self._sum(np.add.reduce([factor * blocks[..., i, j] for factor, blocks in parts]))
+        values: Float = reduce(np.add, [factor[..., None, None] * blocks for factor, blocks in parts])
+        data = (self._sum @ values.reshape(-1, 9)).reshape(-1, 3, 3)
         return sparse.bsr_matrix((data, self.indices, self.starts), shape=(3 * self.nodes, 3 * self.nodes)).tocsr()
 
     def scalars(self, values: Float) -> sparse.csr_matrix:
         """Return the sum of element scalars (m, 18, 18), the same for each component."""
-        one = sparse.csr_matrix((self._sum(values), self.indices, self.starts), shape=(self.nodes, self.nodes))
+        sums = self._sum @ values.ravel()
+        one = sparse.csr_matrix((sums, self.indices, self.starts), shape=(self.nodes, self.nodes))
         return sparse.kron(one, sparse.identity(3), format="csr")
 
 
