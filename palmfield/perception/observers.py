@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from palmfield.blas import one_blas_thread
 from palmfield.errors import OutputError
 from palmfield.types import Float
 
-BLOCK = 512
-"""Number of courses fitted together; all courses of a long run in double precision would take gigabytes."""
+BLOCK = 64
+"""Number of samples of all courses that are converted to double precision together, which fit in a cache."""
 
 
 @dataclass(frozen=True)
@@ -263,9 +264,10 @@ def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None
     first = int(np.searchsorted(times, times[-1] - used / f + 1e-6 * step, side="right"))
     phase = 2 * np.pi * f * (times[first:] - times[-1])
     fit = np.linalg.pinv(np.column_stack([np.ones(phase.size), np.cos(phase), np.sin(phase)]))[1:]
-    courses = np.asarray(x)
-    amplitudes = np.empty(courses.shape[1])
-    for start in range(0, len(amplitudes), BLOCK):
-        part = slice(start, start + BLOCK)
-        amplitudes[part] = np.hypot(*(fit @ courses[first:, part].astype(np.float64)))
-    return amplitudes
+    courses = np.asarray(x)[first:]
+    parts = np.zeros((2, courses.shape[1]))
+    with one_blas_thread:
+        for start in range(0, len(courses), BLOCK):
+            rows = slice(start, start + BLOCK)
+            parts += fit[:, rows] @ courses[rows].astype(np.float64)
+    return np.asarray(np.hypot(*parts), dtype=np.float64)
