@@ -149,23 +149,24 @@ def ritz_modes(
     trials = np.random.default_rng(0).standard_normal((forces.shape[1], TRIALS))
     pushed = np.asarray(space.T @ (forces * sizes).astype(np.float32), dtype=np.float64)
     seen = surface @ space
-    answers: list[Complex] = []
-    pairs: dict[int, tuple[Float, Float]] = {}
+    found: dict[int, tuple[Float, Float, Float, Float, Complex]] = {}
 
     def solve(order: int) -> None:
-        pairs[order] = np.linalg.eigh(total[:order, :order])
-
-    left_by_interrupts(lambda: share([(partial(solve, order),) for order in ends[-2:]], cores()))
-    for order in ends[-2:]:
-        values, turn = pairs.pop(order)
+        values, turn = np.linalg.eigh(total[:order, :order])
         kept = values < (2.0 * np.pi * HIGHEST_Hz) ** 2
         values, turn = values[kept], turn[:, kept]
         diagonals = [np.einsum("ik,ik->k", turn, matrix[:order, :order] @ turn) for matrix in own]
         rigidities = _rigidities(values, diagonals, means)
         loaded = turn.T @ pushed[:order]
-        answers.append(_answers(materials, rigidities, loaded @ trials, seen[:, :order] @ turn))
+        answers = _answers(materials, rigidities, loaded @ trials, seen[:, :order] @ turn)
+        found[order] = values, turn, rigidities, loaded, answers
+
+    left_by_interrupts(lambda: share([(partial(solve, order),) for order in ends[-2:]], cores()))
+    less, answers = (found[order][-1] for order in ends[-2:])
+    values, turn, rigidities, loaded, _ = found[ends[-1]]
+    found.clear()
     if len(materials) == 1:
-        gram, before = _motion_alone(materials, rigidities, loaded), answers[1]
+        gram, before = _motion_alone(materials, rigidities, loaded), answers
     else:
         whole = _Modes(values, [turn.T @ matrix @ turn for matrix in own], means, materials)
         gram, before = _motion_together(whole, loaded, trials, seen @ turn)
@@ -189,7 +190,7 @@ def ritz_modes(
     scale = np.sqrt(TRIALS * seen.shape[0])
     motion = np.linalg.norm(after, axis=(1, 2)) / scale
     # The difference to one block less is that of uncoupled modes; coupling changes it little
-    changes = [np.linalg.norm(change, axis=(1, 2)) / scale for change in (answers[1] - answers[0], after - before)]
+    changes = [np.linalg.norm(change, axis=(1, 2)) / scale for change in (answers - less, after - before)]
     change = np.sqrt(changes[0] ** 2 + changes[1] ** 2 + (coupling * motion) ** 2)
     change *= TOGETHER if len(materials) > 1 else 1.0
     turning = turn.astype(np.float32)
