@@ -13,7 +13,7 @@ from palmfield.hand.labels import PALM_AREAS
 from palmfield.hand.regions import region_at
 from palmfield.hand.triangles import vertex_areas
 from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
-from palmfield.perception.maps import felt_lines, lines_in, lines_of, wanted_s
+from palmfield.perception.maps import MOVED_SHARE, felt_lines, lines_in, lines_of, too_little_skin, wanted_s
 from palmfield.perception.observers import OBSERVERS, Observer, level_dB_SL, line_amplitudes, threshold_m
 from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.simulation.model import HapticModel
@@ -22,8 +22,6 @@ from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
 from palmfield.types import Float
 
-MOVED_SHARE = 0.5
-"""Fraction of the largest weighted amplitude above which skin counts as moved, for area summation."""
 CLOCK_S = 1e-9
 """Tolerance of times of records relative to the schedule [s]."""
 STILL_m = 1e-3
@@ -115,15 +113,9 @@ def contact_levels(times: Float, normal: Float, frequencies: list[float], areas:
     most = lines[:, int(np.maximum(normal.max(axis=0), -normal.min(axis=0)).argmax())]
     result: dict[str, Any] = {"main_frequency_Hz": frequencies[0], "main_line_amplitude_m": float(most[0])}
     result["line_frequencies_Hz"] = frequencies
-    amplitude = np.linalg.norm(lines, axis=0)
-    moves_m2 = float(areas[amplitude > MOVED_SHARE * amplitude.max()].sum())
     for name, observer in OBSERVERS.items():
-        if 0.0 < moves_m2 < observer.least_area_m2:
-            result |= _refusal(
-                name,
-                f"it applies to {1e4 * observer.least_area_m2:g} cm2 or more of moving skin, but {1e4 * moves_m2:.2g} "
-                "cm2 move by half of the maximum",
-            )
+        if refusal := too_little_skin(observer, lines, areas):
+            result |= _refusal(name, refusal)
             continue
         for key, count in (("level", 1), ("level_all_lines", len(frequencies))):
             result[f"{key}_{name}_dB_SL"] = _finite(level_dB_SL(observer, frequencies[:count], most[:count]))

@@ -10,10 +10,11 @@ import numpy as np
 import xarray as xr
 
 from palmfield.errors import OutputError, refuse_unknown
+from palmfield.hand.triangles import vertex_areas
 from palmfield.outputs.motion import PIECE_BYTES, normal_component
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import has_records, instances
-from palmfield.perception.maps import felt_lines, level_map, lines_in, wanted_s
+from palmfield.perception.maps import felt_lines, level_map, lines_in, lines_of, too_little_skin, wanted_s
 from palmfield.perception.observers import OBSERVERS
 from palmfield.stimulus.resolved_keys import ResolvedStimulus
 from palmfield.stimulus.schedule import main_frequencies, repeat_rate_Hz, steady_stretch_s, turn_rate_Hz
@@ -25,9 +26,10 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
 
     result: as returned by `open_result` or `tree`, of a run that began at 0 s; skin, stimulus: instances, the only
     ones by default. The level includes all lines (`palmfield.perception.maps.felt_lines`), whose frequencies are an
-    attribute. Returns `level` [dB SL], dimensions (observer, vertex), NaN if the table of an observer has none of the
-    lines, -inf for a vertex at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is treated separately,
-    without summation over area. The force observer has no map, because it does not depend on the motion of the skin.
+    attribute. Returns `level` [dB SL], dimensions (observer, vertex); attributes skin, stimulus and frequencies_Hz.
+    The level is NaN if the table of an observer has none of the lines, or if more skin moved in its study; it is -inf
+    for a vertex at rest. Each vertex is treated separately, without summation over area. The force observer has no
+    map, because it does not depend on the motion of the skin.
     Raises OutputError for an unknown instance, several instances without a name, a result without displacement, and a
     result shorter than two periods of the main frequency.
     """
@@ -45,7 +47,16 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
         needed = f"{wanted_s(config)[1]} with 3 samples in each" if lines else "a stimulus that repeats"
         raise OutputError(f"the record of skin '{chosen}' has no line; a map needs {needed}: run for longer")
     normal = np.asarray(normal_component(data))[steady]
-    levels = np.stack([level_map(one, times[steady], normal, frequencies) for one in OBSERVERS.values()])
+    areas = vertex_areas(data["rest_position"].values, data["face"].values)
+    amplitudes = lines_of(times[steady], normal, frequencies)
+    levels = np.stack(
+        [
+            np.full(len(areas), np.nan)
+            if too_little_skin(one, amplitudes, areas)
+            else level_map(one, times[steady], normal, frequencies)
+            for one in OBSERVERS.values()
+        ]
+    )
     return xr.Dataset(
         {"level": (("observer", "vertex"), levels, {"units": "dB", "long_name": "level above threshold"})},
         {"observer": list(OBSERVERS)},

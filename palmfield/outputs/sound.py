@@ -9,7 +9,7 @@ from palmfield.acoustics.phased_array import ArrayInstance
 from palmfield.acoustics.placement import placed
 from palmfield.config.array import ArrayConfig
 from palmfield.errors import OutputError
-from palmfield.outputs.frames import axes, drive_frame, foci_at, nearest, pose_at
+from palmfield.outputs.frames import arrays_of, axes, drive_frame, foci_at, nearest, pose_at
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import has_records, instances
 from palmfield.transforms import IDENTITY, Placement
@@ -25,11 +25,12 @@ def driven_arrays(result: xr.DataTree) -> dict[str, xr.Dataset]:
     return arrays
 
 
-def sounding_foci(result: xr.DataTree, time_s: float) -> Float:
-    """Return active focal points at a time, in the world [m], shape (n, 3)."""
+def sounding_foci(result: xr.DataTree, time_s: float, array: str | None = None) -> Float:
+    """Return active focal points at a time, in the world [m], shape (n, 3). array: only those of this array"""
     found = [np.empty((0, 3))]
     for stimulus in instances(result, "stimulus").values():
-        if has_records(stimulus, "foci"):
+        of_it = array is None or array in arrays_of(stimulus, list(instances(result, "array")))
+        if of_it and has_records(stimulus, "foci"):
             found.append(foci_at(stimulus, nearest(stimulus["time"].values, time_s)))
     return np.concatenate(found)
 

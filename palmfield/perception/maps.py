@@ -10,6 +10,8 @@ from palmfield.perception.observers import Observer, levels_dB_SL, line_amplitud
 from palmfield.stimulus.schedule import main_frequencies, repeat_rate_Hz, turn_rate_Hz
 from palmfield.types import Float
 
+MOVED_SHARE = 0.5
+"""Share of the largest amplitude above which skin counts as moving."""
 HIGHEST_FELT_HZ = 500.0
 """Highest harmonic of a path that is used [Hz]; the tables of all observers end below it."""
 
@@ -36,6 +38,21 @@ def level_map(
     else:
         lines = np.array([line_amplitudes(times_s, displacement_m, f, periods) for f in frequencies_Hz])
     return levels_dB_SL(observer, frequencies_Hz, lines.reshape(len(frequencies_Hz), np.shape(displacement_m)[1]))
+
+
+def too_little_skin(observer: Observer, lines_m: Float, areas_m2: Float) -> str:
+    """Return why an observer does not apply, if less skin moves than in its study, else an empty text.
+
+    lines_m: amplitudes of the lines [m], shape (n, S); areas_m2: areas of the vertices [m^2], shape (S,)
+    """
+    amplitude = np.linalg.norm(lines_m, axis=0)
+    moves_m2 = float(areas_m2[amplitude > MOVED_SHARE * amplitude.max(initial=0.0)].sum())
+    if not 0.0 < moves_m2 < observer.least_area_m2:
+        return ""
+    return (
+        f"it applies to {1e4 * observer.least_area_m2:g} cm2 or more of moving skin, but {1e4 * moves_m2:.2g} cm2 move "
+        "by half of the maximum"
+    )
 
 
 def felt_lines(times: Float, config: StimulusConfig) -> list[float]:

@@ -48,6 +48,9 @@ def test_a_motion_of_known_multiples_of_the_threshold(run, name):
         motion = float(threshold_m(OBSERVERS[name], 200.0)) * sine[:, :, None] * skin["rest_normal"].values
         result["skin/skin"]["displacement"] = skin["displacement"].copy(data=motion.astype(np.float32))
         levels = level_maps(result)["level"].sel(observer=name).values
+    if OBSERVERS[name].least_area_m2 > 0.0:
+        assert np.isnan(levels).all()  # three vertices are less skin than under a gripped handle
+        return
     assert levels[:3] == pytest.approx([0.0, 6.0206, 20.0], abs=1e-2)
     assert np.all(levels[3:] < -80.0)
 

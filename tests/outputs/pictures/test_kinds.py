@@ -111,6 +111,8 @@ def test_levels_are_told_for_what_repeats_and_refused_else(with_keys, result):
         still[f"stimulus/{name}"].attrs["config"] = StimulusConfig().model_dump_json()
     with pytest.raises(OutputError, match="does not repeat"):
         KINDS["levels"].draw(still, Options(skin="palm"))
+    with pytest.raises(OutputError, match=r"no map of observer morioka_griffin_2006: it applies to 20 cm2 or more"):
+        KINDS["levels"].draw(with_keys, Options(skin="palm", observer="morioka_griffin_2006"))
     with pytest.raises(OutputError, match=r"--observer has value 'bolanowski'.*bolanowski_1988"):
         KINDS["levels"].draw(with_keys, Options(observer="bolanowski"))
 
@@ -239,6 +241,17 @@ def test_a_slice_has_its_peak_near_the_focus_and_the_pressure_of_the_field(with_
     assert focus[2] - 0.015 < z <= focus[2] + 1e-3
     there = pressure64(np.array([[x, 0.0, z]]), own, drive, Air())[0]
     assert size == pytest.approx(abs(there[0]), rel=1e-3)
+
+
+def test_a_slice_goes_through_a_focus_of_its_array_and_not_between_those_of_two(with_keys):
+    tree = with_keys.copy(deep=True)
+    own, focus = layout("uhev1"), np.array([0.01, 0.0, 0.15])
+    made_known(tree, "below", own)
+    focused(tree, own, focus)
+    tree["stimulus/pair"].attrs["arrays"] = ["beside"]
+    tree["stimulus/pair"]["foci"].values[:] += (0.2, 0.1, 0.0)
+    x, z, _ = peak_of(KINDS["field"].draw(tree, Options()))
+    assert abs(x - focus[0]) < 2e-3 and focus[2] - 0.015 < z <= focus[2] + 1e-3
 
 
 def test_a_slice_of_an_earlier_calibrated_result_is_refused(with_keys):

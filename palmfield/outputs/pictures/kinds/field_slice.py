@@ -22,7 +22,8 @@ REACH_M = 0.3
 
 
 def field_slice(result: xr.DataTree, options: Options) -> Figure:
-    """Draw the amplitude of the incident pressure through the focus, in the x-z plane of the first active array.
+    """Draw the amplitude of the incident pressure through the loudest focus of the array with the highest drive, in its
+    x-z plane.
 
     It is the field in free air, without obstacles. Ring-up is not included: amplitudes and phases are those of the
     drive.
@@ -35,8 +36,11 @@ def field_slice(result: xr.DataTree, options: Options) -> Figure:
     first = max(loud, key=lambda name: float(loud[name].max()))
     _, time_s = chosen_frame(result, arrays[first], options)
     frame = pose_at(arrays[first], time_s)
-    foci = to_local(sounding_foci(result, time_s), frame)
-    focus = foci.mean(axis=0) if len(foci) else np.array([0.0, 0.0, REACH_M - BEYOND_M])
+    places = sounding_foci(result, time_s, first)
+    foci = to_local(places, frame)
+    focus = np.array([0.0, 0.0, REACH_M - BEYOND_M])
+    if len(foci):
+        focus = foci[np.abs(sound_at(arrays, places, time_s)).argmax()]
     across = np.arange(-SIDE_M, SIDE_M + STEP_M, STEP_M) + focus[0]
     ahead = np.arange(BEGINS_M, focus[2] + BEYOND_M, STEP_M)
     x, z = np.meshgrid(across, ahead)

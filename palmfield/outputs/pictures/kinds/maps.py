@@ -8,6 +8,7 @@ from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError, refuse_unknown
+from palmfield.hand.triangles import vertex_areas
 from palmfield.outputs.frames import in_world, to_local
 from palmfield.outputs.motion import extremes, normal_component
 from palmfield.outputs.pictures.options import (
@@ -26,7 +27,7 @@ from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import instances
 from palmfield.outputs.skin_view import SkinView, draw_patch, view_of_skin
 from palmfield.outputs.style import signed_colours
-from palmfield.perception.maps import felt_lines, level_map
+from palmfield.perception.maps import felt_lines, level_map, lines_of, too_little_skin
 from palmfield.perception.observers import OBSERVERS
 from palmfield.stimulus.resolved_keys import ResolvedStimulus
 from palmfield.stimulus.schedule import steady_stretch_s
@@ -76,7 +77,9 @@ def rms_map(result: xr.DataTree, options: Options) -> Figure:
 
 
 def level_map_of(result: xr.DataTree, options: Options) -> Figure:
-    """Draw the level above threshold at each vertex, without summation over area, for each or for one observer."""
+    """Draw the level above threshold at each vertex, without summation over area, for one observer or for each that
+    applies to the moving area.
+    """
     name, skin = chosen_skin(result, options, "displacement")
     if options.observer is not None:
         refuse_unknown(OutputError, "--observer has value {}", options.observer, OBSERVERS)
@@ -84,7 +87,14 @@ def level_map_of(result: xr.DataTree, options: Options) -> Figure:
     times = skin["time"].values[steady]
     motion = normal_component(skin, times=steady).values.astype(float)
     shown: list[tuple[str, Float]] = []
+    areas = vertex_areas(skin["rest_position"].values, skin["face"].values)
+    amplitudes = lines_of(times.astype(float), motion, lines)
     for key in [options.observer] if options.observer else list(OBSERVERS):
+        refusal = too_little_skin(OBSERVERS[key], amplitudes, areas)
+        if refusal and options.observer:
+            raise OutputError(f"no map of observer {key}: {refusal}")
+        if refusal:
+            continue
         levels = level_map(OBSERVERS[key], times, motion, lines)
         if np.isfinite(levels).any():
             shown.append((key, np.maximum(levels, LEAST_LEVEL_DB)))
