@@ -1,6 +1,7 @@
-"""Run a scene and estimate the errors of its results."""
+"""Run a scene, estimate the errors of its results, and add the levels of populations of afferents."""
 
 import logging
+import math
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -11,18 +12,22 @@ import numpy as np
 import xarray as xr
 from rich.progress import Progress
 
+from palmfield.config import StimulusConfig
 from palmfield.errors import SceneError
 from palmfield.estimate.array_inputs import stimulus_of
 from palmfield.estimate.cost import estimate_s
-from palmfield.estimate.population_levels import population_levels
+from palmfield.estimate.sensation_levels import CLOCK_S
 from palmfield.estimate.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.outputs.motion import normal_component, pieces
-from palmfield.outputs.schema import instances
+from palmfield.outputs.schema import has_records, instances
 from palmfield.outputs.summary import summary
+from palmfield.perception.afferents import AFFERENTS
+from palmfield.perception.populations import POPULATIONS, class_level_dB, spread_of, unit_levels
 from palmfield.session.open_scene import Source
 from palmfield.session.recorded_run import Estimates, Result, run_recorded
 from palmfield.session.recorder import Recorder
 from palmfield.session.simulation import Simulation
+from palmfield.stimulus.schedule import steady_stretch_s
 from palmfield.types import Float
 
 LOG = logging.getLogger("palmfield.estimate")
@@ -120,3 +125,34 @@ def _whole_summary(
                 turned[0],
             )  # fmt: skip
     return summary(tree, extra | scene_numbers(sim, *run), skins, stimuli, array_numbers(sim.runtime.model))
+
+
+def population_levels(skin: xr.Dataset, config: StimulusConfig, times: Float, begun_s: float = 0.0) -> dict[str, Any]:
+    """Return the levels of a skin by the observers that read afferents; empty for a skin without them.
+
+    skin: as returned by `palmfield.outputs.schema.instances`. times: times from the start of the run [s], shape (t,),
+    evenly spaced; begun_s: MuJoCo time at the start of the run [s]. Levels are those between ramp and silence.
+    By class: number of units, how many of them fire, and the largest level of a unit over its threshold.
+    """
+    if not has_records(skin, "afferent_motion") or len(times) < 2:
+        return {}
+    steady = steady_stretch_s(config)
+    begin, end = np.searchsorted(begun_s + times, [steady[0] - CLOCK_S, steady[1] + CLOCK_S])
+    step_s, classes = float(times[1] - times[0]), skin["afferent_class"].values
+    levels, numbers = dict[str, Float](), dict[str, Any]()
+    for name, afferent in AFFERENTS.items():
+        motion = skin["afferent_motion"].values[:, classes == name]
+        if motion.shape[1] and end > begin:
+            own = levels[name] = unit_levels(afferent, motion, step_s, slice(int(begin), int(end)))
+            numbers |= {f"afferents_{name}": len(own), f"afferents_{name}_firing": int((own >= 1.0).sum())}
+            numbers[f"afferents_{name}_highest_level"] = float(own.max())
+    for name, population in POPULATIONS.items():
+        by_class = {one: class_level_dB(one, levels[one]) for one in population.classes if one in levels}
+        decides = max(by_class, key=lambda one: by_class[one], default=None)
+        level = -math.inf if decides is None else by_class[decides]
+        numbers[f"level_{name}_dB_SL"] = level if math.isfinite(level) else None
+        numbers[f"level_{name}_spread_dB"], numbers[f"level_{name}_spread_of"] = spread_of(decides or "pc")
+        numbers[f"level_{name}_class"] = decides
+        why = f"applies: {population.why}" if math.isfinite(level) else "refused: no afferent of its classes moves"
+        numbers[f"level_{name}_why"] = why
+    return numbers

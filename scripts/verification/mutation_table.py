@@ -439,7 +439,7 @@ MUTATIONS = (
     Mutation(
         "bulk strain with K + G for K + G/3",
         "lateral waves",
-        "palmfield/skin/solvers/lateral_waves/depth.py",
+        "palmfield/skin/solvers/lateral_waves/modes.py",
         "whole = np.vstack([math.sqrt(bulk + shear / 3.0)",
         "whole = np.vstack([math.sqrt(bulk + shear)",
         "tests/skin/lateral_waves/test_depth.py::test_static_limit",

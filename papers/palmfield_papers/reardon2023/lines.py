@@ -18,8 +18,7 @@ from palmfield.metrics import (
     wake_area,
     wake_length,
 )
-from palmfield.skin.solvers.lateral_waves.depth import depth_problem
-from palmfield.skin.solvers.lateral_waves.modes import face_modes
+from palmfield.skin.solvers.lateral_waves.modes import depth_problem, face_modes
 from palmfield.types import Float
 from palmfield_papers.answer import Answer, Setting
 from palmfield_papers.reardon2023.configuration import (

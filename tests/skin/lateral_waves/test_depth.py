@@ -11,8 +11,7 @@ from palmfield.skin.base import Springs
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson
 from palmfield.skin.problem import Slab
-from palmfield.skin.solvers.lateral_waves.depth import depth_problem
-from palmfield.skin.solvers.lateral_waves.modes import face_modes, still_modes
+from palmfield.skin.solvers.lateral_waves.modes import depth_problem, face_modes, still_modes
 
 pytestmark = pytest.mark.numerics
 

@@ -11,18 +11,18 @@ from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import distance_to_sides, load_width, pressure_at_sides
 from palmfield.skin.base import Foundation
 from palmfield.skin.problem import GAUSSIAN, ONLY_WEDGES, Body, Load, Slab, Spot, spread
-from palmfield.skin.solvers.lateral_waves.depth import depth_problem
 from palmfield.skin.solvers.lateral_waves.march import spot_transform
-from palmfield.skin.solvers.lateral_waves.modes import FaceModes, face_modes, still_modes
-from palmfield.skin.solvers.lateral_waves.radial import compute_modes, radial_rule
+from palmfield.skin.solvers.lateral_waves.modes import FaceModes, depth_problem, face_modes, still_modes
 from palmfield.skin.solvers.lateral_waves.resolution import SUDDEN_1_S, Resolution
 from palmfield.skin.solvers.lateral_waves.waves import (
     WaveSet,
+    compute_modes,
     fourier_bessel,
     hankel,
     lattice,
     mirrored,
     polar,
+    radial_rule,
     transform,
 )
 from palmfield.types import Float

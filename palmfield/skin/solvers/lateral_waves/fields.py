@@ -23,12 +23,10 @@ from scipy.special import jnp_zeros, jv
 
 from palmfield.errors import SceneError
 from palmfield.skin.problem import Slab, Spot, between, rising
-from palmfield.skin.solvers.lateral_waves.depth import depth_problem
 from palmfield.skin.solvers.lateral_waves.march import Timeline, march, on_timeline, spot_transform, timeline
-from palmfield.skin.solvers.lateral_waves.modes import FaceModes, face_modes
-from palmfield.skin.solvers.lateral_waves.radial import compute_modes
+from palmfield.skin.solvers.lateral_waves.modes import FaceModes, depth_problem, face_modes
 from palmfield.skin.solvers.lateral_waves.resolution import Resolution, resolution_for
-from palmfield.skin.solvers.lateral_waves.waves import WaveSet, lattice
+from palmfield.skin.solvers.lateral_waves.waves import WaveSet, compute_modes, lattice
 from palmfield.types import Complex, Float, Float32, Int
 
 LEAST_SHARE = 1e-2
