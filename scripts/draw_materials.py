@@ -23,7 +23,6 @@ from palmfield.skin.materials.catalogue import CATALOGUE, DEPTH_M, PRESETS, TISS
 from palmfield.skin.materials.dispersion import Waves, describe
 from palmfield.skin.materials.material import Material, complex_shear, elastic, prony, standard_linear
 from palmfield.skin.materials.prony_fit import fractional, fractional_kelvin_voigt
-from palmfield.skin.materials.ranges import UNITS
 from palmfield.studies.bench.table import keep_rows
 from palmfield_papers.chilles2019.ecoflex import ecoflex_rate_law_mixed, ecoflex_time_as_printed
 from palmfield_papers.mizushima2024 import as_printed
@@ -31,7 +30,7 @@ from palmfield_papers.mizushima2024 import as_printed
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracles"))
 
 from hyperelastic import advance, at_rest, piola
-from observed import predicted
+from observed import UNITS, observations, predicted
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "images" / "materials"
@@ -111,7 +110,7 @@ def draw_presets() -> Figure:
         moduli.loglog(BAND_HZ, -shear.imag / 1e3, color=colour, linestyle=":")
         speed.semilogx(BAND_HZ, [wave.rayleigh_speed_m_s for wave in waves], color=colour)
         length.loglog(BAND_HZ, [wave.rayleigh_length_m * 1e3 for wave in waves], color=colour)
-        for one in entry.observations:
+        for one in observations(entry):
             if one.quantity == "surface speed" and name != "finger_pad":
                 speed.errorbar(one.f_Hz, one.value, yerr=one.spread, color=colour, marker="o", markersize=4, capsize=3)
     moduli.set_ylim(0.2, 200.0)
@@ -309,9 +308,9 @@ def misfit_rows() -> list[str]:
         "|---|---|---|---|---|---|---|",
     ]
     for name, entry in CATALOGUE.items():
-        if not entry.observations:
+        if not observations(entry):
             lines.append(f"| {name} | - | - | no speed or decay measured on it is known | - | - | - |")
-        for one in entry.observations:
+        for one in observations(entry):
             found = predicted(entry.material, one)
             spread = f" +- {one.spread:.3g}" if one.spread is not None else ""
             lines.append(

@@ -2,20 +2,13 @@ import math
 
 import numpy as np
 import pytest
-from observed import misfits, predicted
+from observed import OBSERVATIONS, misfits, predicted
 from scipy.optimize import least_squares
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.extreme_sheets import scaled, varied
-from palmfield.skin.materials.catalogue import (
-    CATALOGUE,
-    DEPTH_M,
-    GEL_STORAGE_PA,
-    PRESETS,
-    hand_skin,
-    preset,
-)
+from palmfield.skin.materials.catalogue import CATALOGUE, DEPTH_M, GEL_STORAGE_PA, PRESETS, hand_skin, preset
 from palmfield.skin.materials.dispersion import describe
 from palmfield.skin.materials.material import bulk_from_poisson, complex_shear, shear_wave
 from palmfield.skin.materials.prony_fit import fractional_kelvin_voigt
@@ -61,7 +54,7 @@ def test_palm_keeps_what_its_source_says():
 
 
 def test_palm_decays_as_a_default_must_and_finger_pad_does_not():
-    decays = {name: predicted(PRESETS[name], CATALOGUE[name].observations[-1]) for name in ("palm", "finger_pad")}
+    decays = {name: predicted(PRESETS[name], OBSERVATIONS[name][-1]) for name in ("palm", "finger_pad")}
     assert 0.05 < decays["palm"] < 0.15
     assert decays["finger_pad"] < 0.05
 
@@ -105,13 +98,13 @@ def test_gels_follow_the_fractional_law(name):
 
 def test_forearm_meets_the_speed_measured_with_it():
     entry = CATALOGUE["forearm"]
-    (seen,) = entry.observations
+    (seen,) = OBSERVATIONS["forearm"]
     assert abs(predicted(entry.material, seen) - seen.value) < 2.0 * seen.spread
     assert misfits(entry) == [predicted(entry.material, seen) / seen.value - 1.0]
 
 
 def test_models_are_those_of_waves():
-    seen = CATALOGUE["gelatin_2"].observations[0]
+    seen = OBSERVATIONS["gelatin_2"][0]
     assert predicted(preset("palm"), seen) == describe(preset("palm"), 200.0).shear_speed_m_s
 
 

@@ -1,7 +1,7 @@
 """Named skin materials, the uncertainty of their numbers, and the layered skin of the hand.
 
-`preset(name)` returns a Material. `CATALOGUE` also has ranges of its numbers, and measurements with which tests
-compare it. docs/materials.md is made from this data. Modules `law_*` of this package add their `PRESETS`.
+`preset(name)` returns a Material. `CATALOGUE` also has ranges of its numbers. docs/materials.md is made from this data.
+Modules `law_*` of this package add their `PRESETS`.
 """
 
 from dataclasses import dataclass
@@ -10,19 +10,11 @@ from pkgutil import iter_modules
 
 from palmfield.errors import SceneError, did_you_mean
 from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from_poisson, kelvin_voigt, prony
-from palmfield.skin.materials.ranges import Observation, Preset, Range
+from palmfield.skin.materials.ranges import Preset, Range
 
 MANFREDI = "Manfredi et al. 2012, PLoS ONE 7:e31203"
 ZHANG = "Zhang et al. 2011, Med. Eng. Phys. 33:31 (doi 10.1016/j.medengphy.2010.08.016)"
 MIZUSHIMA = "Mizushima & Sato 2024 (doi 10.18494/SAM5054)"
-READING = f"read by this project from a curve that rises to a plateau near 7 m/s ({MANFREDI}); not tabulated there"
-POWER_LAW = f"finger; amplitude proportional to distance to the power -1.1 to -1.3 ({MANFREDI}, exponents of fig. 3)"
-SITE_SPEEDS = tuple(
-    Observation("surface speed", f, speed, None, READING)
-    for f, speed in ((50.0, 3.6), (100.0, 4.6), (200.0, 6.0), (400.0, 7.1))
-)
-SITE_DECAY = Observation("decay", 200.0, 0.085, 0.017, POWER_LAW, depth_m=0.012)
-
 GEL_STORAGE_PA = {"hitohada_c0": 1.07e4, "hitohada_c7": 5.08e4, "hitohada_c15": 8.35e4}
 """Storage modulus in compression at 10 Hz [Pa], Mizushima & Sato 2024."""
 GEL_BAND_HZ = (1.0, 1000.0)
@@ -50,10 +42,7 @@ def gel(name: str, relaxed_Pa: float, branches_Pa: tuple[float, ...], times_s: t
         "discs of 2 mm, 1 mm thick, were clamped; if they were bonded, the measured E' is 1 + 2 S^2 = 1.5 times "
         "that of the material (Gent & Lindley, S = 0.5)",
     )
-    observation = Observation(
-        "storage in compression", 10.0, GEL_STORAGE_PA[name], None, f"{MIZUSHIMA}, assuming free lateral expansion"
-    )
-    return Preset(material, (factors,), (observation,))
+    return Preset(material, (factors,))
 
 
 CATALOGUE: dict[str, Preset] = {
@@ -96,7 +85,6 @@ CATALOGUE: dict[str, Preset] = {
                 "than their shortest wakes of 10 cm on the gel",
             ),
         ),
-        (Observation("shear speed", 200.0, 5.0, None, "Reardon et al. 2023, of their simulated tissue"),),
     ),
     "hitohada_c0": gel("hitohada_c0", 2041.0, (4404.0, 1991.0, 1317.0, 1039.0), GEL_TIMES_S),
     "hitohada_c7": gel("hitohada_c7", 9689.0, (20.91e3, 9453.0, 6254.0, 4933.0), GEL_TIMES_S),
@@ -120,7 +108,6 @@ CATALOGUE: dict[str, Preset] = {
                 "assumed as for ecoflex_00-10: the fitted readings have no spread, and hands differ",
             ),
         ),
-        observations=(*SITE_SPEEDS, SITE_DECAY),
     ),
     "palm": Preset(
         Material(
@@ -146,7 +133,6 @@ CATALOGUE: dict[str, Preset] = {
                 "proportional to its square",
             ),
         ),
-        observations=(*SITE_SPEEDS, SITE_DECAY),
     ),
     "forearm": Preset(
         kelvin_voigt(
@@ -162,7 +148,6 @@ CATALOGUE: dict[str, Preset] = {
             Range("shear_relaxed_Pa", 6.00e3, 9.72e3, f"one standard deviation, {ZHANG}"),
             Range("viscosity_Pa_s", 4.43, 5.63, f"one standard deviation, {ZHANG}"),
         ),
-        (Observation("surface speed", 200.0, 3.25, 0.19, f"forearm of a volunteer, {ZHANG}"),),
     ),
     "muscle": Preset(
         prony(
