@@ -41,8 +41,9 @@ MOMENTS = 256
 """Number of moments at which the loudest one of a stimulus is searched."""
 DISTANCES_m = np.arange(0.04, 0.61, 0.02)
 """Distances of foci with which that of a scene is compared."""
-WEAK = 0.5
-"""Share of a pressure below which it is reported; the ARP is its square."""
+WEAK, FAR = 0.5, 0.35
+"""Shares of a full drive, and of the pressure nearer to the array, below which they are reported; the ARP goes with the
+square."""
 AGREES = 0.1
 """Relative error of a microphone in a reading."""
 TRIED_m = (0.0, 0.0, 0.15)
@@ -121,6 +122,8 @@ def why(
     if scene is None:
         if board is None:
             raise SceneError("neither a scene nor a board is given; give SCENE.xml, or --board with a name")
+        if keys:
+            raise SceneError(f"--set {next(iter(keys))} has no effect without a scene; give SCENE.xml")
         sound = _of_board(board)
         return Why(board, (*_hardware(sound, port, measured_Pa), _tried(board, port)))
     if board is not None:
@@ -343,7 +346,7 @@ def _distance(view: Preview, posed: PosedScene, number: int, sound: Sound) -> Fi
         f"at {1e3 * distance_m:.0f} mm a focus at full drive has {here:.0f} Pa, {100 * share:.0f} % of one at "
         f"{1e3 * DISTANCES_m[most]:.0f} mm"
     )
-    if share < WEAK:
+    if share < FAR:
         return _fault("distance", f"{text}, so {100 * share**2:.0f} % of its ARP: bring the hand nearer to the array")
     return Finding("distance", "ok", text)
 

@@ -107,5 +107,7 @@ def test_bad_input_is_refused(scene):
         why(None)
     with pytest.raises(SceneError, match="--measured has value -1"):
         why(scene, measured_Pa=-1.0)
+    with pytest.raises(SceneError, match=r"--set driver\.board has no effect without a scene"):
+        why(None, board=BOARD, keys={"driver.board": "x"})
     with pytest.raises(DeviceError, match="board 'x' is unknown"):
         why(None, board="x")
