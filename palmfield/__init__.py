@@ -8,7 +8,7 @@ print(sim.skin().normal_displacement)
 result = palmfield.run("mjcf/scenes/palm_am200.xml", "out/palm")
 print(result.summary)
 
-`dir(palmfield)` lists the public names; subpackages such as `palmfield.skin` list theirs.
+`dir(palmfield)` lists the public names. `dir` also lists those of subpackages such as `palmfield.skin`.
 """
 
 import logging

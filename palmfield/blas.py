@@ -1,6 +1,6 @@
 """Limit BLAS to one thread for small dense products and triangular solves.
 
-SuperLU calls BLAS for very small blocks, for which several threads are up to 200 times slower than one.
+SuperLU calls BLAS for very small blocks. For these, several threads are up to 200 times slower than one.
 """
 
 import threading
@@ -13,11 +13,11 @@ from threadpoolctl import ThreadpoolController
 
 
 class OneBlasThread:
-    """A context in which every BLAS of this process uses one thread; it may be nested and used by several threads.
+    """A context in which every BLAS of this process uses one thread. It may be nested, and used by several threads.
 
-    The number of threads belongs to the whole process: the first thread that enters stores it, and the last that leaves
-    restores it. If each thread restored its own value, the process could remain at one thread. A context of
-    threadpoolctl takes about 40 Python calls; this one takes two.
+    The number of threads is a setting of the whole process. The first thread that enters the context stores it, and the
+    last thread that leaves restores it. If each thread restored its own value, the process could remain at one thread.
+    A context of threadpoolctl takes about 40 Python calls; this one takes two.
     """
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class OneBlasThread:
 
     @cached_property
     def _libraries(self) -> list[tuple[Callable[[], int], Callable[[int], Any]]]:
-        """Return functions that read and set the number of threads of each BLAS."""
+        """Return functions that read and set the number of threads, for each BLAS library."""
         # SciPy has its own BLAS, which is found after it is loaded
         import_module("scipy.linalg")
         result = []

@@ -1,10 +1,11 @@
 """Store results that took long to compute on disk, for later runs with the same inputs.
 
-The cache is a folder of NumPy archives, one for each result. A file is named by a digest of all inputs and of the code.
-The folder is the user's cache folder, or that of environment variable PALMFIELD_CACHE (`off`: no cache). If it exceeds
-its limit (2 GB or PALMFIELD_CACHE_MB), the least recently used results are removed. A result is written to a temporary
-file and renamed, so that no process reads an incomplete file. A file also contains the digest of the inputs and one of
-its arrays: if it cannot be read or does not match them, the result is recomputed with a message.
+The cache is a folder of NumPy archives, one for each result. The name of a file is a digest of all inputs and of the
+code. The folder is the user's cache folder, or that of environment variable PALMFIELD_CACHE (`off`: no cache). If it
+exceeds its limit (2 GB or PALMFIELD_CACHE_MB), the least recently used results are removed. A result is first written
+to a temporary file, which is then renamed. So no process reads an incomplete file. A file also contains a digest of its
+inputs and a digest of its arrays. If it cannot be read, or a digest does not match, the result is computed again, and a
+message is logged.
 """
 
 import dataclasses
@@ -33,12 +34,12 @@ from palmfield.phases import phase
 
 LIMIT_MB = 2048
 WAIT_S = 600.0
-"""Longest wait for another process that computes the same result [s]; then it is computed here too."""
+"""Longest wait for another process that computes the same result [s]. After it, the result is computed here too."""
 MODES_S = 30 * 86400.0
-"""Time by which the removal of modes is later than that of other entries [s]: they take half a minute to compute."""
+"""Extra time for which modes are kept, compared with other entries [s]. They take half a minute to compute."""
 OFF = ("off", "0", "none")
 MARKS = "palmfield_marks"
-"""Array in a file with the digest of the inputs and that of the other arrays."""
+"""Name of the array in a file that contains the digest of the inputs and that of the other arrays."""
 Arrays = dict[str, NDArray[Any]]
 
 _warned: set[str] = set()
@@ -83,9 +84,11 @@ def kept(
 ) -> Arrays:
     """Return the result of `make`, from the cache if an earlier run stored it.
 
-    kind: kind of result, a word for the file name; depends_on: all inputs of the result, see `digest`
-    make: returns the result as arrays by name, without objects; its errors are raised, and nothing is stored then
-    where: folder that replaces that of the environment; code: digest of the code, None for `code_mark`
+    kind: kind of result, a word for the file name
+    depends_on: all inputs of the result, see `digest`
+    make: function that returns the result as arrays by name, without objects. If it raises an error, nothing is stored
+    where: folder that replaces that of the environment
+    code: digest of the code, None for `code_mark`
     """
     where = where or folder()
     work = phase(kind.replace("-", " "))(make)
@@ -142,7 +145,7 @@ def clear() -> int:
 
 
 def digest(*parts: Any) -> str:
-    """Return a hash of numbers, texts, arrays, sparse matrices, dataclasses, models, and lists and dicts of them.
+    """Return a hash of numbers, texts, arrays, sparse matrices, dataclasses, models, and of lists and dicts of them.
 
     Raises TypeError for other types, whose content cannot be compared.
     """
@@ -170,7 +173,7 @@ def code_mark() -> str:
 
 
 def _factorises() -> tuple[str, str]:
-    """Return the version of pypardiso ("" without it) and whether it is switched on, because rounding depends on it."""
+    """Return the version of pypardiso ("" without it), and whether it is switched on. Rounding depends on both."""
     try:
         installed = importlib.metadata.version("pypardiso")
     except importlib.metadata.PackageNotFoundError:
@@ -219,7 +222,7 @@ def _put(result: Any, kind: str, content: bytes) -> None:
 
 
 def _read(path: Path, key: str) -> Arrays | None:
-    """Return the result of a key; None if the file is missing, damaged or of another key."""
+    """Return the result for a key. None if the file is missing or damaged, or belongs to another key."""
     try:
         with np.load(regular(path), allow_pickle=False) as archive:
             answer = {name: archive[name] for name in archive.files}
@@ -253,7 +256,7 @@ def _write(path: Path, key: str, answer: Arrays) -> None:
 
 
 def _make_room(newest: Path) -> None:
-    """Remove the least recently used entries beyond the limit, and temporary files of killed processes."""
+    """Remove the least recently used entries above the limit, and temporary files of killed processes."""
     total, limit = 0, limit_bytes()
 
     def removal(entry: Entry) -> tuple[bool, float]:

@@ -1,4 +1,4 @@
-"""Objects that hold a port, a file or a thread until they are closed."""
+"""Base class of objects that use a port, a file or a thread until they are closed."""
 
 from abc import ABC, abstractmethod
 from typing import Self
@@ -9,7 +9,7 @@ class Closing(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Free what is held; end its threads and processes."""
+        """Release the resources of the object, and end its threads and processes."""
 
     def __enter__(self) -> Self:
         return self

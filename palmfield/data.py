@@ -32,8 +32,8 @@ def folder(name: Literal["mjcf", "hand_models"]) -> Path:
 def find_file(name: str) -> Path:
     """Return the file that a key of a scene names.
 
-    name: absolute, or relative to the working directory or to the folder of palmfield's scenes, because a compiled
-        model does not store the folder of its file
+    name: absolute path, or path relative to the working directory or to the folder of palmfield's scenes. The folder of
+        the scene is not used, because a compiled model does not store it
     Returns an absolute path; an absolute `name` is not checked.
     Raises SceneError for a relative name that is in neither folder.
     """

@@ -31,11 +31,11 @@ from palmfield.phases import phase
 KERNELS = "WARP_CACHE_PATH"
 """Environment variable for the folder of compiled Warp kernels."""
 ROOM_FILES, ROOM_BYTES = 16, 2**16
-"""Files and size of each [bytes] for which a folder must have room before a kernel is compiled."""
+"""Number of files, and size of each [bytes], for which a folder must have space before a kernel is compiled."""
 
 
 def _kernels_folder() -> None:
-    """Store kernels in a folder of this process and its children if the usual folder cannot be made."""
+    """If the usual kernel folder cannot be made, use a folder of this process and its children."""
     named = os.environ.get(KERNELS)
     usual = os.path.join(named or platformdirs.user_cache_dir("warp", "NVIDIA"), wp.__version__)
     try:
@@ -74,7 +74,7 @@ def _temporary_folder(usual: str, error: OSError) -> str:
 
 
 def _start() -> None:
-    """Initialise Warp without its message that there is no GPU, which C code writes directly to standard error."""
+    """Initialise Warp without the message that there is no GPU. C code would write it directly to standard error."""
     wp.config.log_level = wp.LOG_WARNING
     if wp.config.kernel_cache_dir is None:
         _kernels_folder()
@@ -92,7 +92,9 @@ _start()
 
 
 def resolve(device: str = "auto") -> str:
-    """Return the name of the Warp device for `auto`, `cpu` or `cuda:N`; `auto` is the first GPU if there is one.
+    """Return the name of the Warp device for `auto`, `cpu` or `cuda:N`.
+
+    `auto` is the first GPU, or the CPU without GPU.
 
     Raises PalmfieldError if the device is not on this machine.
     """
@@ -107,8 +109,9 @@ def resolve(device: str = "auto") -> str:
 class SharedArray:
     """An array of fixed size: `host` for NumPy, `array` for kernels.
 
-    On the CPU both use the same memory. On a GPU `host` is pinned memory. `upload` and `download` copy in the order of
-    the stream of the device; synchronise it (`wp.synchronize_stream`) before downloaded data in `host` are read.
+    On the CPU both use the same memory. On a GPU `host` is pinned memory. `upload` and `download` copy data in the
+    order of the stream of the device. Synchronise the stream (`wp.synchronize_stream`) before you read downloaded data
+    in `host`.
 
     shape: shape of the Warp array; dtype: its type, for example wp.vec3; device: as returned by `resolve`
     """
@@ -121,7 +124,7 @@ class SharedArray:
         self.host: NDArray[Any] = (self.array if self._pinned is None else self._pinned).numpy()
 
     def put(self, values: ArrayLike) -> None:
-        """Write values to `host` and `array`, after waiting for a copy in progress."""
+        """Write values to `host` and `array`. If a copy is in progress, wait for its end first."""
         if self._pinned is not None:
             wp.synchronize_stream(self.array.device)
             self.host[...] = values
@@ -148,7 +151,7 @@ PAGE = 256
 
 
 class SharedBlock:
-    """Several arrays of fixed size in one block of memory, which is copied to or from the device in one operation.
+    """Several arrays of fixed size in one block of memory. One operation copies the block to or from the device.
 
     hosts, arrays: by name, as `host` and `array` of a SharedArray; nbytes: size of the memory
     parts: shape and Warp type by name; device: as returned by `resolve`
@@ -190,7 +193,7 @@ def free_bytes(device: str) -> int | None:
 
 
 def check_room(needed: int, worlds: int, device: str) -> None:
-    """Raise DeviceError if a device has less free memory than `needed` [bytes] for `worlds` worlds."""
+    """Raise DeviceError if the free memory of a device is less than `needed` [bytes], for `worlds` worlds."""
     free = free_bytes(device)
     if free is not None and needed > free:
         raise DeviceError(
@@ -206,7 +209,7 @@ THREADS = 128
 
 
 class _Loader:
-    """A thread that loads modules, one for each set of flags: Warp parses its headers once for both together."""
+    """A thread that loads modules, for one set of compiler flags. Warp then parses its headers once for all of them."""
 
     def __init__(self) -> None:
         self.waiting: deque[tuple[Future[None], Callable[[], None]]] = deque()
@@ -265,7 +268,7 @@ _loaders: dict[object, _Loader] = {}
 
 
 def _load_of(module: Any, device: str, block_dim: int) -> _Load:
-    """Return the load of a module, which waits behind all others where it was not asked for before."""
+    """Return the load of a module. If it was not requested before, it waits behind all other loads."""
     module = module if isinstance(module, wp.Module) else wp.get_module(module.__name__)
     loads, key = _loads.setdefault(module, {}), (device, 1 if device == "cpu" else block_dim)
     if key not in loads:
@@ -279,15 +282,17 @@ def _load_of(module: Any, device: str, block_dim: int) -> _Load:
 
 
 def load_ahead(modules: Iterable[Any], device: str) -> None:
-    """Begin to compile and load modules of kernels, in this order; launches wait for them, and raise the errors."""
+    """Begin to compile and load kernel modules, in this order. Launches wait for them, and raise their errors."""
     for module in modules:
         _load_of(module, device, THREADS)
 
 
 def load_kernels(module: Any, device: str, block_dim: int = THREADS) -> None:
-    """Load a module of kernels (or that of a kernel) before all others; block_dim: threads of a block on a GPU.
+    """Load a module of kernels (or the module of a kernel) before all others.
 
-    Raises the errors of Warp. Ctrl-C does not wait for the compiler."""
+    block_dim: threads per block on a GPU
+    Raises the errors of Warp. Ctrl-C takes effect without waiting for the compiler.
+    """
     loader, load = _load_of(module, device, block_dim)
     if not load[0].done():
         with suppress(ValueError):  # it is being loaded
@@ -300,7 +305,7 @@ def load_kernels(module: Any, device: str, block_dim: int = THREADS) -> None:
 
 
 def _end_loading() -> None:
-    """Let compilers end what they are at, and begin nothing: they must not run while the process is taken down."""
+    """Let compilers finish their present module, and start no other one. They must not run while the process ends."""
     for loader in list(_loaders.values()):
         loader.waiting.clear()
         with loader.busy:
@@ -314,18 +319,18 @@ os.register_at_fork(after_in_child=_loads.clear)
 
 
 def run_kernel(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any] = (), **options: Any) -> Any:
-    """Do `wp.launch` of a kernel whose module `load_kernels` loads; options: of wp.launch, `device` always."""
+    """Call `wp.launch` for a kernel, whose module `load_kernels` loads. options: of wp.launch; `device` is required"""
     load_kernels(kernel.module, str(options["device"]), options.get("block_dim", 256))
     return wp.launch(kernel, dim, inputs, outputs, **options)
 
 
 def launch(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Callable[[], object]:
-    """Return a call that launches a kernel with these arguments, as `recorded`, but visible to `wp.ScopedCapture`."""
+    """Return a call that launches a kernel with these arguments. Unlike `recorded`, `wp.ScopedCapture` records it."""
     return run_kernel(kernel, dim, inputs, device=device, block_dim=THREADS, record_cmd=True).launch
 
 
 def matrix_product(left: Any, right: Any, result: Any, device: str) -> Callable[[], object]:
-    """Return a call that sets `result` to left @ right; all are float32 matrices on the device."""
+    """Return a call that sets `result` to left @ right. All are float32 matrices on the device."""
     from warp_kernels import products
 
     tiles = -(-result.shape[0] // products.ROWS), -(-result.shape[1] // products.COLUMNS)
@@ -334,23 +339,26 @@ def matrix_product(left: Any, right: Any, result: Any, device: str) -> Callable[
 
 
 launching = threading.Lock()
-"""Lock while a graph is captured, because launches by other threads on the device would become part of it."""
+"""Lock that is acquired while a graph is captured.
+
+Otherwise launches by other threads would become part of the graph.
+"""
 
 
 @dataclass(frozen=True)
 class Branches:
-    """Independent lists of calls, which a graph runs in parallel on a GPU."""
+    """Independent lists of calls. On a GPU, a graph runs the lists in parallel."""
 
     parts: tuple[Sequence[Callable[[], object]], ...]
 
     def __call__(self) -> None:
-        """Do all calls, one list after the other."""
+        """Run all calls, one list after the other."""
         for part in self.parts:
             for call in part:
                 call()
 
     def captured(self, device: str) -> None:
-        """Do all calls while a graph is captured on a GPU, each list on a separate stream."""
+        """Run all calls while a graph is captured on a GPU, each list on a separate stream."""
         main, others = wp.get_stream(device), _streams(device, len(self.parts) - 1)
         for stream in others:
             stream.wait_stream(main)
@@ -368,16 +376,16 @@ _side_streams: dict[str, list[Any]] = {}
 
 
 def _streams(device: str, count: int) -> list[Any]:
-    """Return streams on which graphs are captured; they are reused."""
+    """Return streams on which graphs are captured. Later calls return the same streams."""
     made = _side_streams.setdefault(device, [])
     made += [wp.Stream(device) for _ in range(count - len(made))]
     return made[:count]
 
 
 def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[], object]:
-    """Return a call that does launches and copies, in order, as one captured graph. They are done once here too.
+    """Return a call that runs launches and copies, in order, as one captured graph. They are also run once now.
 
-    Other threads must hold `launching` for their launches.
+    Other threads must acquire `launching` for their launches.
     """
     with launching:
         # Done once before capture, so that kernels are loaded and Warp has allocated its own memory
@@ -402,7 +410,7 @@ def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[],
 
 
 def filled(struct: Any, **values: Any) -> Any:
-    """Set members of a Warp struct and return it."""
+    """Set members of a Warp struct, and return it."""
     for name, value in values.items():
         setattr(struct, name, value)
     return struct
@@ -429,7 +437,7 @@ def gather(arrays: Sequence[Any], out: NDArray[Any]) -> None:
 
 
 def scatter(numbers: NDArray[Any], arrays: Sequence[Any]) -> None:
-    """Copy numbers written by `gather` back to arrays."""
+    """Copy numbers that `gather` wrote back to arrays."""
     start = 0
     for array in arrays:
         if array.size:
@@ -439,7 +447,7 @@ def scatter(numbers: NDArray[Any], arrays: Sequence[Any]) -> None:
 
 
 def available_bytes() -> int:
-    """Return the memory available without swapping [bytes]; 8 GB if the system does not report it."""
+    """Return the memory that is available without swapping [bytes]. It is 8 GB if the system does not report it."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
@@ -452,11 +460,11 @@ DIRECT_LAUNCH = ("1.19",)
 
 
 def recorded(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Callable[[], object]:
-    """Return a call that launches a kernel with these arguments; the arrays are fixed, their values may change.
+    """Return a call that launches a kernel with these arguments. The arrays are fixed; their values may change.
 
-    A recorded launch of Warp packs its arguments each time, in 5 us and 10 to 20 Python calls. On the CPU, with a
-    tested version of Warp, they are packed once here, and a launch takes 1 us. `wp.ScopedCapture` does not record such
-    a launch.
+    A recorded launch of Warp packs its arguments each time, which takes 5 us and 10 to 20 Python calls. This function
+    packs them once, on the CPU and with a tested version of Warp; a launch then takes 1 us. `wp.ScopedCapture` does not
+    record such a launch.
 
     device: as returned by `resolve`; on a GPU blocks have 128 threads
     """
@@ -471,5 +479,5 @@ def recorded(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], dev
 
 @functools.lru_cache(maxsize=256)
 def _arguments(types: tuple[type, ...]) -> type[ctypes.Structure]:
-    """Return a structure of packed arguments; making one takes as long as recording a launch."""
+    """Return a structure of packed arguments. Making one takes as long as recording a launch."""
     return type("Arguments", (ctypes.Structure,), {"_fields_": [(f"argument_{i}", of) for i, of in enumerate(types)]})

@@ -11,9 +11,10 @@ if TYPE_CHECKING:
 class PalmfieldError(Exception):
     """Base of every error that a user can cause and correct; the command line prints it and exits with 2.
 
-    about: names before the text, outermost first: a world, an element of a scene, a key.
-    setting: name of the setting with the invalid value, "" for none. mends: names of settings that can correct it.
-        `palmfield.config.base.naming_keys` adds both to the text if they are keys of a scene.
+    about: names that precede the text, outermost first: a world, an element of a scene, a key
+    setting: name of the setting with the invalid value, "" for none
+    mends: names of settings that can correct the error `palmfield.config.base.naming_keys` adds both to the text if
+        they are keys of a scene.
     """
 
     def __init__(self, text: str = "", *about: str, setting: str = "", mends: Sequence[str] = ()):
@@ -41,18 +42,21 @@ class MeasurementError(PalmfieldError):
 
 
 def unwritable(path: object, error: OSError) -> OutputError:
-    """Return the error for a file that cannot be written, from that of the system."""
+    """Return the OutputError for a file that cannot be written. error: error of the system"""
     return OutputError(f"cannot write {path}: {reason_of(error)}; choose a folder that exists and has room")
 
 
 def reason_of(error: BaseException, longest: int | None = None) -> str:
-    """Return the message of a system or library error in one line of at most `longest` letters, or else its type."""
+    """Return the message of a system or library error in one line of at most `longest` letters.
+
+    Without one, its type.
+    """
     text = str(getattr(error, "strerror", None) or error)
     return " ".join(text.split())[:longest] or type(error).__name__
 
 
 def fault_of(error: "ValidationError") -> str:
-    """Return the first error of pydantic in a file: position, error and value."""
+    """Return the first error that pydantic found in a file: position, error and value."""
     first = error.errors()[0]
     place = ".".join(map(str, first["loc"]))
     message = first["msg"].removeprefix("Value error, ")
@@ -61,11 +65,11 @@ def fault_of(error: "ValidationError") -> str:
 
 
 LEAST_BEGINNING = 3
-"""Smallest number of letters at the beginning of a name that identify it in `did_you_mean`."""
+"""Smallest number of letters with which the beginning of a name identifies it in `did_you_mean`."""
 
 
 def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
-    """Return ` (did you mean 'x'?)` for the most similar known word, or one that begins with `word`; "" if none.
+    """Return ` (did you mean 'x'?)` for the most similar known word, or for one that begins with `word`; "" if none.
 
     likeness: smallest fraction of common letters, 0 to 1
     """
@@ -79,7 +83,7 @@ def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
 def refuse_unknown(error: type[PalmfieldError], sentence: str, value: str, known: Iterable[str]) -> None:
     """Raise an error for a value that is not in `known`.
 
-    sentence: has {} in place of the value: "--by has value {}"
+    sentence: text with {} for the value, such as "--by has value {}"
     """
     allowed = list(known)
     if value not in allowed:
@@ -88,11 +92,11 @@ def refuse_unknown(error: type[PalmfieldError], sentence: str, value: str, known
 
 
 MEMORY_SIGNS = ("Failed to allocate", "out of memory", "CUDA error 2:")
-"""Parts of messages of Warp if a GPU is out of memory."""
+"""Texts in messages of Warp that show that a GPU is out of memory."""
 
 
 def explained(error: Exception) -> Exception:
-    """Return the error, or a DeviceError with a remedy if Warp reports that a GPU is out of memory."""
+    """Return the error. If Warp reports that a GPU is out of memory, return a DeviceError with a remedy instead."""
     text = " ".join(str(error).split())
     if not isinstance(error, RuntimeError) or not any(sign in text for sign in MEMORY_SIGNS):
         return error
@@ -103,7 +107,7 @@ def explained(error: Exception) -> Exception:
 
 
 class explaining:
-    """A context that replaces an error in the block by `explained`."""
+    """A context that replaces an error in the block by the result of `explained`."""
 
     def __enter__(self) -> None:
         return None
@@ -115,7 +119,7 @@ class explaining:
 
 
 class naming:
-    """Return a context that adds names and remedies to a PalmfieldError that is raised in the block without them."""
+    """Return a context that adds names and remedies to a PalmfieldError in the block, unless it has some already."""
 
     def __init__(self, *about: str, mends: Sequence[str] = ()):
         self.about, self.mends = about, mends

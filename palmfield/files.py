@@ -1,4 +1,4 @@
-"""Read users' files, of limited size and depth, and write files completely or not at all.
+"""Read users' files, with limits of size and depth. Write files completely or not at all.
 
 Devices, pipes and folders are not read: /dev/zero has no end, and reading a pipe may wait for ever. If the disk is full
 while a file is written, an existing file is unchanged.
@@ -18,15 +18,15 @@ from palmfield.errors import PalmfieldError, reason_of, unwritable
 MOST_BYTES = 1 << 30
 """Largest size of a data file: a scan of 60 points with 900,000 samples has 0.5 GB as text."""
 MOST_SETTINGS_BYTES = 1 << 24
-"""Largest size of a settings file, which takes about 20 times as much memory."""
+"""Largest size of a settings file. Reading it takes about 20 times as much memory."""
 DEEPEST = 64
-"""Largest depth of nested lists and tables in settings; formats of palmfield use at most 8."""
+"""Largest depth of nested lists and tables in settings. palmfield's own formats use at most 8."""
 LARGEST = 1 << 63
-"""Limit of whole numbers, as in TOML 1.0."""
+"""Largest absolute value of whole numbers, as in TOML 1.0."""
 
 
 class Unfit(OSError):
-    """A file exists but is not readable input; it has `strerror` as other OSErrors."""
+    """Error for a file that exists but is not readable input. Like other OSErrors it has `strerror`."""
 
     def __str__(self) -> str:
         return str(self.strerror)
@@ -34,9 +34,10 @@ class Unfit(OSError):
 
 @contextmanager
 def reading(what: object, error: type[PalmfieldError], instead: str) -> Iterator[None]:
-    """Convert errors of the system or a decoder in the block, which reads a file, to `error`.
+    """Convert errors of the system, or of a decoder, to `error`. The block reads a file.
 
-    what: the file, with its option if any; instead: what to give instead, such as "a CSV file in UTF-8"
+    what: the file, with its option if any
+    instead: remedy in the message, such as "a CSV file in UTF-8"
     """
     try:
         yield
@@ -72,25 +73,34 @@ def read_bytes(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: str | Path, encoding: str = "utf-8", most_bytes: int = MOST_BYTES) -> str:
-    """Return the text of a regular file with line ends \\n. Raises OSError as `regular` does, UnicodeDecodeError."""
+    r"""Return the text of a regular file, with line ends \n.
+
+    Raises OSError as `regular` does, and UnicodeDecodeError.
+    """
     return read_bytes(path, most_bytes).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Return the tables of a TOML file. Raises OSError as `regular` does, ValueError for other text and as `plain`."""
+    """Return the tables of a TOML file.
+
+    Raises OSError as `regular` does, and ValueError for other text and as `plain`.
+    """
     return plain(tomllib.loads, read_text(path, most_bytes=MOST_SETTINGS_BYTES))
 
 
 def read_json(path: str | Path) -> Any:
-    """Return the content of a JSON file. Raises OSError as `regular` does, ValueError for other text and as `plain`."""
+    """Return the content of a JSON file.
+
+    Raises OSError as `regular` does, and ValueError for other text and as `plain`.
+    """
     return plain(json.loads, read_text(path, most_bytes=MOST_SETTINGS_BYTES))
 
 
 def plain(parse: Any, text: str | bytes) -> Any:
-    """Return the result of a parser after a check of nesting depth and whole numbers.
+    """Return the result of a parser, after a check of nesting depth and whole numbers.
 
     Raises ValueError for nesting deeper than `DEEPEST` and for whole numbers of more than 64 bits, which would overflow
-    when they become floats or indices.
+    as floats or indices.
     """
     try:
         value = parse(text)
@@ -113,10 +123,10 @@ def plain(parse: Any, text: str | bytes) -> Any:
 
 @contextmanager
 def whole(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path to be written in the block, which is renamed to `path` at its end.
+    """Yield a temporary path, which the block writes. At the end of the block it is renamed to `path`.
 
-    After an error, including Ctrl-C, it is removed, and the error is raised. If `path` is not a regular file, such as
-    /dev/stdout, it is written directly.
+    After an error, including Ctrl-C, the temporary file is removed, and the error is raised. If `path` is not a regular
+    file, such as /dev/stdout, it is written directly.
     """
     file = Path(path)
     if file.exists() and not file.is_file():
@@ -133,7 +143,7 @@ def whole(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def writing(path: str | Path) -> Iterator[None]:
-    """Convert system errors in the block, which writes a file or folder, to OutputError."""
+    """Convert system errors to OutputError. The block writes a file or folder."""
     try:
         yield
     except OSError as error:

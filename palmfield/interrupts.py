@@ -20,9 +20,10 @@ class interrupts_delayed:
             part()
             check()
 
-    Ctrl-C is then handled by the previous handler: KeyboardInterrupt by default, or the handler of the program. After
-    an error in the block Ctrl-C is ignored. Ctrl-C is not delayed by a nested block (the outer one delays it), if the
-    process ignores Ctrl-C or is ended by it without Python, and in other threads, where Ctrl-C does not arrive.
+    The previous handler then handles Ctrl-C: KeyboardInterrupt by default, or the handler of the program. After an
+    error in the block, Ctrl-C is ignored. In three cases this context has no effect: in a nested block, because the
+    outer block delays Ctrl-C; if the process ignores Ctrl-C or ends by it without Python; and in other threads, where
+    Ctrl-C does not arrive.
     """
 
     _inside: ClassVar[bool] = False
@@ -66,10 +67,10 @@ def _nothing() -> None:
 
 
 def left_by_interrupts(work: Callable[[], T]) -> T:
-    """Return the result of a function of long native calls, such as an eigenproblem, done in another thread.
+    """Run a function with long native calls, such as an eigenproblem, in another thread; return its result.
 
-    Ctrl-C ends the wait at once; the thread then does its present call to the end, and its result is dropped. Python
-    cannot raise KeyboardInterrupt in such a call. In other threads than the main one the function is simply called.
+    Ctrl-C ends the wait at once. The thread then completes its present call, and its result is dropped. Python cannot
+    raise KeyboardInterrupt inside such a call. Outside the main thread, the function is simply called.
     """
     if threading.current_thread() is not threading.main_thread():
         return work()

@@ -1,4 +1,4 @@
-"""Compute values once, also if several threads read them."""
+"""Compute values only once, also if several threads read them."""
 
 import threading
 from collections.abc import Callable
@@ -8,11 +8,11 @@ from typing import Any, Generic, Self, TypeVar, overload
 
 T = TypeVar("T")
 next_serial: Callable[[], int] = count(1).__next__
-"""Returns a number that is unique in this process; data cached for an object are valid while its number is the same."""
+"""Return a number that is unique in this process. Data cached for an object are valid while its number is unchanged."""
 
 
 class locked_cached_property(cached_property[T]):
-    """A cached property of an object with a `lock`: the first thread computes, the others wait."""
+    """A cached property of an object that has a `lock`. The first thread computes the value; the others wait."""
 
     @overload
     def __get__(self, instance: None, owner: type[Any] | None = None) -> Self: ...
@@ -27,22 +27,22 @@ class locked_cached_property(cached_property[T]):
 
 
 class Lazy(Generic[T]):
-    """A costly object that is made at first use."""
+    """An object that takes long to make, and is made at the first use."""
 
     def __init__(self, make: Callable[[], T]):
         self._make, self.lock = make, threading.RLock()
 
     @property
     def made(self) -> bool:
-        """Whether the object is made."""
+        """Whether the object has been made."""
         return "value" in vars(self)
 
     @locked_cached_property
     def value(self) -> T:
-        """The object. Errors of its making are raised."""
+        """The object, made at the first use. Errors while it is made are raised."""
         return self._make()
 
     def forget(self) -> None:
-        """Free the value; it is made again at its next use."""
+        """Free the value. The next use makes it again."""
         with self.lock:
             vars(self).pop("value", None)

@@ -1,4 +1,4 @@
-"""Name the phases of a run, which are measured only inside `palmfield.profile.measured`."""
+"""Name the phases of a run. They are measured only inside `palmfield.profile.measured`."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -7,13 +7,13 @@ from typing import Any, ParamSpec, TypeVar
 P = ParamSpec("P")
 T = TypeVar("T")
 running: list[Any] = []
-"""Active profiles of `palmfield.profile`; the last one is used."""
+"""Active profiles of `palmfield.profile`. The last one is used."""
 
 
 class phase:
-    """A phase: a block, `with phase("matrices"):`, or each call of a function, `@phase("matrices")`.
+    """A phase of a run: a block, `with phase("matrices"):`, or each call of a function, `@phase("matrices")`.
 
-    Arrays that the result of such a function refers to are counted under the name until they are freed.
+    If the function returns an object, the arrays of the object are counted under this name until they are freed.
     """
 
     def __init__(self, name: str) -> None:

@@ -25,20 +25,22 @@ from palmfield.phases import running
 from palmfield.terminal import printed, table
 
 LEAST_BYTES, LEAST_S = 2**16, 0.005
-"""Smallest counted array [bytes], and shortest printed phase [s]."""
+"""Smallest array that is counted [bytes], and shortest phase that is printed [s]."""
 BEFORE = "Python and its command line"
-"""Row for the time before the measurement."""
+"""Name of the row for the time before the measurement."""
 ELSEWHERE = "elsewhere"
-"""Row for the time outside phases."""
+"""Name of the row for the time outside phases."""
 
 
 @dataclass
 class Times:
-    """Times of a phase including all phases inside it.
+    """Times of a phase, including all phases inside it.
 
-    cpu_s: user and system time of its thread and of helper threads without their own phase [s].
-    wall_s: wall time of the measured thread [s]. beside_s: time of other threads, parallel to other phases [s].
-    calls: number of calls. peak_bytes: highest resident memory of the process until its last end.
+    cpu_s: user and system time of its thread, and of helper threads that have no phase of their own [s]
+    wall_s: wall time of the measured thread [s]
+    beside_s: time of other threads, parallel to other phases [s]
+    calls: number of calls
+    peak_bytes: largest resident memory of the process up to the last end of the phase
     """
 
     cpu_s: float = 0.0
@@ -59,8 +61,11 @@ class Memory:
 
 @dataclass
 class _Thread:
-    """A thread with open phases: names of the phase around them in the measured thread and of its own; its CPU time
-    at the last event [s]."""
+    """A thread with open phases.
+
+    It stores the names of its own phases and of the enclosing phase in the measured thread, and its CPU time at the
+    last event [s].
+    """
 
     around: tuple[str, ...]
     own: list[str]
@@ -136,12 +141,12 @@ class Profile:
                 self.phases[key].wall_s += took
 
     def own_phases(self) -> dict[tuple[str, ...], Times]:
-        """Return the phases that were measured so far, for the profile of another process."""
+        """Return the phases measured so far, in the form for the profile of another process."""
         self.update()
         return {path: times for path, times in self.phases.items() if path != (BEFORE,)}
 
     def add_process(self, phases: dict[tuple[str, ...], Times]) -> None:
-        """Add the phases of another process, which were parallel to those of this one."""
+        """Add the phases of another process, which ran parallel to this process."""
         for path, times in phases.items():
             own = self.phases.setdefault(path, Times())
             own.cpu_s += times.cpu_s
@@ -215,13 +220,13 @@ def peak_bytes() -> int:
 
 
 def own_peak_bytes() -> int:
-    """Return `peak_bytes` of a copied process without the memory that it now shares with others [bytes]."""
+    """Return `peak_bytes` of a copied process, without the memory that it still shares with other processes [bytes]."""
     lines = Path("/proc/self/smaps_rollup").read_text().splitlines()
     return peak_bytes() - 1024 * sum(int(line.split()[1]) for line in lines if line.startswith("Shared_"))
 
 
 def arrays_of(thing: object) -> list[Any]:
-    """Return NumPy arrays of at least LEAST_BYTES that own their memory and to which an object refers."""
+    """Return the NumPy arrays to which an object refers. They own their memory and have at least LEAST_BYTES."""
     found, todo, seen = [], [thing], set[int]()
     while todo:
         one = todo.pop()
@@ -238,6 +243,9 @@ def arrays_of(thing: object) -> list[Any]:
 
 
 def _clock(thread: int) -> float:
-    """Return the CPU time of a running thread [s]; 0 if the system does not report it: the measured thread gets it."""
+    """Return the CPU time of a running thread [s].
+
+    If the system does not report it, 0, so the measured thread gets the time.
+    """
     number = getattr(time, "pthread_getcpuclockid", None)
     return time.clock_gettime(number(thread)) if number else 0.0

@@ -1,4 +1,4 @@
-"""Set the priority of threads that must keep pace with a device."""
+"""Set the priority of threads that must follow a device in real time."""
 
 import contextlib
 import gc
@@ -9,18 +9,19 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 MAKER_PRIORITY, FOLLOWER_PRIORITY = 40, 30
-"""Priorities of the thread that makes frames (the player has a higher one), and of the thread that fits a hand to
-samples.
+"""Priorities of the thread that makes frames, and of the thread that fits a hand to samples.
+
+The player has a higher priority.
 """
 SWITCH_S = 200e-6
-"""Switch interval of Python threads [s], short so that the thread of a virtual board can read bytes."""
+"""Switch interval of Python threads [s]. It is short, so that the thread of a virtual board can read bytes in time."""
 
 
 @contextlib.contextmanager
 def realtime(priority: int) -> Iterator[str]:
     """Give the calling thread SCHED_FIFO in the block, if permitted; yield a description of its priority.
 
-    Use it only for a thread that mostly waits; threads that it starts have normal priority.
+    Use it only for a thread that mostly waits. Threads that this thread starts have normal priority.
     """
     before: tuple[int, Any] | None = None
     if hasattr(os, "sched_setscheduler"):
@@ -37,7 +38,7 @@ def realtime(priority: int) -> Iterator[str]:
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[str]:
-    """Apply `realtime` to the thread that makes frames, without garbage collection and with SWITCH_S."""
+    """Apply `realtime` to the thread that makes frames, with SWITCH_S and without garbage collection."""
     collects, interval_s = gc.isenabled(), sys.getswitchinterval()
     gc.disable()
     sys.setswitchinterval(SWITCH_S)
@@ -51,7 +52,7 @@ def undisturbed() -> Iterator[str]:
 
 
 def follower(target: Callable[[], object]) -> threading.Thread:
-    """Return a daemon thread with FOLLOWER_PRIORITY that is not yet started."""
+    """Return a daemon thread with FOLLOWER_PRIORITY. It is not started yet."""
 
     def run() -> None:
         with realtime(FOLLOWER_PRIORITY):

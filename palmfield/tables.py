@@ -1,4 +1,4 @@
-"""Read and write columns of numbers in CSV and NPZ files; messages contain line and column."""
+"""Read and write columns of numbers in CSV and NPZ files. Error messages contain line and column."""
 
 import csv
 import math
@@ -15,7 +15,7 @@ from palmfield.files import regular, whole, writing
 from palmfield.types import Float
 
 UNREADABLE = (OSError, EOFError, ValueError, NotImplementedError, MemoryError, BadZipFile, zlib.error, csv.Error)
-"""Errors of open, csv, zipfile and NumPy for a damaged file; for undecodable text ValueError."""
+"""Errors that open, csv, zipfile and NumPy raise for a damaged file, and ValueError for undecodable text."""
 
 LONGEST_NAME = 100
 """Largest number of letters of a column name."""
@@ -23,7 +23,7 @@ SEPARATORS = {";": "semicolons", "\t": "tabs"}
 
 
 def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], list[str]]:
-    """Return columns of a CSV file with a header or of an NPZ file, and the name of each row in messages.
+    """Return the columns of a CSV file with a header, or of an NPZ file, and the name of each row for messages.
 
     gaps: columns in which numbers need not be finite
     Raises SceneError for a file that cannot be read, a repeated column, and, with line (in an NPZ: row) and column, for
@@ -48,7 +48,8 @@ def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], 
 def pop_columns(
     file: Path, columns: dict[str, Float], names: Sequence[str], error: type[PalmfieldError] = SceneError
 ) -> Float:
-    """Remove columns that belong together from a table and return them, shape (rows, names); `error` if one is missing.
+    """Remove columns that belong together from a table and return them, shape (rows, names). Raises `error` if one is
+    missing.
 
     file: file for messages; columns: as returned by `read_table`
     """
@@ -123,8 +124,10 @@ def numbers_in(
 ) -> list[float]:
     """Return the numbers in the cells of a row, one for each column name.
 
-    place: file and line, for messages; finite: whether to check that; instead: remedy for a number that is not finite
-    Raises `error`, with the column, for text and numbers that are not finite, and for more or fewer cells.
+    place: file and line, for messages
+    finite: whether to check that numbers are finite
+    instead: remedy for a number that is not finite
+    Raises `error`, with the column, for text and for numbers that are not finite, and for more or fewer cells.
     """
     if len(cells) != len(names):
         raise error(f"{place} has {len(cells)} values for {len(names)} columns; give one per column")

@@ -16,10 +16,10 @@ LEAST = 60
 
 
 def columns(most: int) -> int:
-    """Return the width of a table: that of the terminal, at most `most`; `most` without a terminal.
+    """Return the width of a table: that of the terminal, but at most `most`. Without a terminal it is `most`.
 
-    Environment variable COLUMNS has priority, as in shells. For a pipe the width is that of the terminal of standard
-    error.
+    Environment variable COLUMNS has priority, as in shells. If standard output is a pipe, the terminal of standard
+    error is used.
     """
     fixed = os.environ.get("COLUMNS", "")
     if fixed.isdecimal() and int(fixed) > 0:
@@ -34,7 +34,7 @@ def columns(most: int) -> int:
 
 
 def table(rows: Iterable[Sequence[str]], heads: Sequence[str] | None = None, **looks: Any) -> Table:
-    """Return a table of rows with two or more cells; long words are continued in the next line, not cut.
+    """Return a table of rows with two or more cells. Long words continue in the next line.
 
     heads: heads of the columns, None for no heads; looks: options of rich's Table
     """
@@ -45,7 +45,7 @@ def table(rows: Iterable[Sequence[str]], heads: Sequence[str] | None = None, **l
 
 
 def printed(*parts: Table | str, most: int) -> str:
-    """Return the text of tables and lines, one below the other, with width `columns(most)`."""
+    """Return the text of tables and lines, one below the other, in the width of `columns(most)`."""
     stream = io.StringIO()
     console = Console(file=stream, width=columns(most))
     for part in parts:
@@ -54,16 +54,19 @@ def printed(*parts: Table | str, most: int) -> str:
 
 
 class TimeLeft(TimeRemainingColumn):
-    """The remaining time of a task; without a count of its parts, expected time (`expected_s`) minus elapsed time."""
+    """Column with the remaining time of a task.
+
+    Without a count of parts: expected time (`expected_s`) minus elapsed time.
+    """
 
     def render(self, task: Task) -> Text:
-        """Return the text for one task; after the expected time, that of rich."""
+        """Return the text for one task. After the expected time, it is the text of rich."""
         rest = task.fields.get("expected_s", 0.0) - (task.elapsed or 0.0)
         return super().render(task) if task.total is not None or rest <= 0.0 else Text(f"about {rest:.0f} s left")
 
 
 def bars(show: bool = True, *more: ProgressColumn) -> Progress:
-    """Return progress bars on standard error with elapsed and remaining time; disabled without a terminal."""
+    """Return progress bars on standard error, with elapsed and remaining time. Without a terminal they are disabled."""
     columns = TextColumn("{task.description}"), BarColumn(), *more, TimeElapsedColumn(), TimeLeft()
     console = Console(stderr=True)
     # In a pipe, bars would print an empty line before an error; rich before 14 does so even if they are disabled

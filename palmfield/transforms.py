@@ -10,9 +10,10 @@ Numbers = tuple[float, ...]
 
 
 class Transform(NamedTuple):
-    """A frame seen from another one: x_outer = rotation @ x + position.
+    """Pose of a frame relative to an outer frame: x_outer = rotation @ x + position.
 
-    position: origin of the frame [m], shape (3,); rotation: its axes as columns, shape (3, 3)
+    position: origin of the frame [m], shape (3,)
+    rotation: axes of the frame as columns, shape (3, 3)
     """
 
     position: Float
@@ -46,9 +47,10 @@ IDENTITY = Transform(np.zeros(3), np.eye(3))
 class Placement(NamedTuple):
     """Pose of an array or body in another frame, as numbers that can be compared and hashed.
 
-    position: [m], 3 numbers; rotation: 9 numbers by row
-    sites: position [m] and emitting direction of each transducer in the array frame, for layout `sites`, else
-        empty; transducers may move relative to each other
+    position: [m], 3 numbers
+    rotation: 9 numbers, row by row
+    sites: position [m] and emitting direction of each transducer in the array frame, for layout `sites`, whose
+        transducers may move relative to each other; empty for other layouts
     """
 
     position: Numbers
@@ -67,7 +69,7 @@ class Placement(NamedTuple):
 
 
 def relative(frame: Transform, pose: Transform) -> Transform:
-    """Return a frame relative to another; both are given in one outer frame."""
+    """Return a frame relative to another one. Both are expressed in one outer frame."""
     return Transform(frame.rotation.T @ (pose.position - frame.position), frame.rotation.T @ pose.rotation)
 
 

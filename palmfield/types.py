@@ -22,7 +22,7 @@ class Air:
 
 
 Kind = Literal["measured", "data sheet", "inferred", "assumed"]
-"""Origin of a number: calibration by a laboratory, data sheet, other published figures, or practice."""
+"""Origin of a number: calibration in a laboratory, data sheet, other published figures, or common practice."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Estimate:
     """A number with its range.
 
     low, high: ends of the range, in the unit of the number, low <= value <= high
-    kind: origin of the number; source: source in words
+    kind: origin of the number
+    source: source of the number in words
     """
 
     value: float
@@ -77,11 +78,11 @@ class Array:
 
 @dataclass(frozen=True)
 class Field:
-    """Incident sound at points, in the frame in which the points were given.
+    """Incident sound at points. Vectors are in the frame of the points.
 
     pressure: complex peak pressure [Pa], shape (n,), complex64
     gradient: its gradient [Pa/m], shape (n, 3), complex64, or None
-    For points on a device both are Warp arrays there, of wp.vec2 (real, imaginary).
+    For points on a device both are Warp arrays on this device, of wp.vec2 (real, imaginary).
     """
 
     pressure: NDArray[np.complex64]
@@ -102,7 +103,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Patch:
-    """The part of a surface that gets a skin layer; extrusion along `inward` makes the solid.
+    """The part of a surface that gets a skin layer. Extrusion along `inward` makes the solid layer.
 
     vertices: [m], shape (n, 3), float64, in the body frame
     faces: shape (m, 3), int32, counter-clockwise seen from outside
@@ -110,7 +111,7 @@ class Patch:
     depth: thickness of the layer along `inward` [m], shape (n,), float64
     rim: True on vertices of the lateral boundary, shape (n,), bool
     axis: symmetry axis direction for roller sides (unit, outward), shape (3,), or None
-    report: facts for the plan and the result file (share thinned, smallest quality, ...)
+    report: numbers for the plan and the result file (fraction of thinned area, smallest element quality, ...)
     """
 
     vertices: Float

@@ -54,28 +54,31 @@ GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Study": (sweep, compare, experiment),
     "Maintain": (migrate, cache, bench),
 }
-"""Commands by heading of `palmfield --help`: a function is a command with its name, a Typer has subcommands."""
+"""Commands by heading of `palmfield --help`. A function is a command with its name; a Typer has subcommands."""
 OF_OTHERS = "From other distributions"
 INTERRUPTED_CODE = 130
 """Exit code after Ctrl-C."""
 USUAL_THRESHOLDS = gc.get_threshold()
 WITHOUT_DASK = ("run", "recover", "plot", "render", "usd")
-"""Commands for which xarray imports no dask, which takes 0.25 s if it is installed and serves only sweeps."""
+"""Commands that run without dask. If dask is installed, xarray imports it, which takes 0.25 s; only sweeps need it."""
 OBJECTS_AT_START = 300_000
-"""Number of new objects before the first garbage collection, slightly more than imports and a scene make. They all
-remain in use, and searching them would take a fifth of the start-up time."""
+"""Number of new objects before the first garbage collection.
+
+It is slightly more than the number of objects that imports and a scene make. All of these stay in use, and searching
+them would take a fifth of the start-up time.
+"""
 ANYWHERE = {"-v": 0, "--verbose": 0, "-q": 0, "--quiet": 0, "--log-level": 1}
-"""Options of the whole program, which may also follow a command, with the number of values of each."""
+"""Options of the whole program that may also follow a command, with the number of values of each option."""
 
 
 class _Program(TyperGroup):
-    """The whole program: it expands arguments as this system does, and adds commands of other distributions."""
+    """The whole program. It expands `~` in arguments, and adds the commands of other distributions."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, [_expanded(argument) for argument in args])
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return names in the order of GROUPS, then those of other distributions."""
+        """Return the names of the commands in the order of GROUPS, then those of other distributions."""
         self._add_others()
         return list(dict.fromkeys((*GROUP_OF, *self.commands)))
 
@@ -98,15 +101,15 @@ class _Program(TyperGroup):
                     formatter.write_dl(listed)
 
     def _add_others(self) -> None:
-        """Add commands of other distributions; only when needed, since each loads a module."""
+        """Add commands of other distributions. This is done only when needed, because each command loads a module."""
         for name, command in brought.commands().items():
             self.commands.setdefault(name, command)
 
 
 def _expanded(argument: str) -> str:
-    """Expand `~` in an argument, which shells do not do after `=` and in quotes.
+    """Expand `~` in an argument. Shells do not expand it after `=` and inside quotes.
 
-    Raises SceneError for a path of Windows on another system.
+    Raises SceneError for a Windows path on another system.
     """
     name, equals, value = argument.partition("=") if argument.startswith("--") else ("", "", argument)
     if value == "~" or value.startswith("~/"):
@@ -166,7 +169,7 @@ def program(
 
 
 def main() -> None:
-    """Run the command line: errors of the user become one line on standard error and exit code 2."""
+    """Run the command line. An error of the user is printed as one line on standard error, with exit code 2."""
     try:
         app(_anywhere(sys.argv[1:]), standalone_mode=True)
     except PalmfieldError as error:
@@ -182,7 +185,7 @@ def main() -> None:
 
 
 def start() -> None:
-    """Run `main` with garbage collection delayed until after the start, and without a last one at the end."""
+    """Run `main` without garbage collection during the start and at the end."""
     gc.callbacks.append(_before_garbage)
     gc.set_threshold(OBJECTS_AT_START)
     if next((word for word in sys.argv[1:] if not word.startswith("-")), "") in WITHOUT_DASK:
@@ -194,26 +197,32 @@ def start() -> None:
 
 
 def _before_garbage(phase: str, info: dict[str, int]) -> None:
-    """Before the first garbage collection exclude all objects so far; later collections are as usual."""
+    """Exclude all present objects from garbage collection, before the first collection.
+
+    Later collections are as usual.
+    """
     gc.callbacks.remove(_before_garbage)
     gc.freeze()
     gc.set_threshold(*USUAL_THRESHOLDS)
 
 
 def _silent(error: SystemExit) -> bool:
-    """Return whether Typer ended the program after Ctrl-C without a message; commands raise Exit from None."""
+    """Return whether Typer ended the program after Ctrl-C without a message.
+
+    Commands themselves raise Exit from None.
+    """
     ended = error.__context__
     return error.code == INTERRUPTED_CODE and ended is not None and isinstance(ended.__cause__, KeyboardInterrupt)
 
 
 def _from_ctrl_c(error: BaseException) -> bool:
-    """Return whether an error was caused by Ctrl-C: libraries raise their own errors if it interrupts an import."""
+    """Return whether Ctrl-C caused an error. Libraries raise errors of their own if Ctrl-C interrupts an import."""
     causes = (error.__cause__, error.__context__)
     return isinstance(error, KeyboardInterrupt) or any(_from_ctrl_c(cause) for cause in causes if cause is not None)
 
 
 def _anywhere(arguments: list[str]) -> list[str]:
-    """Return the arguments with options of the whole program moved before the command."""
+    """Return the arguments with the options of the whole program moved before the command."""
     first, rest, waiting = [], [], 0
     for argument in arguments:
         name, equals, _ = argument.partition("=")

@@ -1,4 +1,4 @@
-"""Output of --json: names are stable and contain units, and nothing else is written to standard output."""
+"""Output of --json. The names are stable and contain units. Standard output contains nothing but the JSON object."""
 
 import json
 from typing import Any

@@ -24,8 +24,8 @@ def field(
 ) -> None:
     """Measure speed and error of the pressure field, as a Markdown table.
 
-    The problem has 996 transducers and two ranges of distances. Each method runs in a separate process, in turns with
-    the others, so that other load affects all of them equally. Errors are relative to float64. The head of the report
+    The problem has 996 transducers and two ranges of distances. Each method runs in a separate process, and the methods
+    take turns, so that other load affects all of them equally. Errors are relative to float64. The head of the report
     states the speed of the machine; compare speeds only within one table. In a clone of palmfield,
     scripts/bench/compare_field.py also measures other programs.
 
@@ -78,10 +78,10 @@ def scene(
 ) -> None:
     """Measure the speed of whole scenes, and with --error their error, as a Markdown table.
 
-    Speed is wall time per simulated time in plain mj_step over whole runs. Path, level and pose are drawn at random
-    after the model is built, so that skins use modes for every load; --known measures unchanged scenes. Each scene runs
-    in two separate processes, with an empty cache and with the cache of the first. --error takes minutes for each
-    scene.
+    Speed is wall time per simulated time in plain mj_step over whole runs. Path, level and pose are changed at random
+    after the model is built, so skins must use modes that are valid for every load. With --known, the scenes are
+    unchanged. Each scene runs in two separate processes, the first with an empty cache, the second with the cache of
+    the first. --error takes minutes for each scene.
 
     Examples: palmfield bench scene palm_am200 palm_circle
 

@@ -1,4 +1,4 @@
-"""`palmfield board`: facts of a board, or a virtual board."""
+"""`palmfield board`: show the properties of a board, or start a virtual board."""
 
 import time
 from pathlib import Path

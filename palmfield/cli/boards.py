@@ -29,7 +29,7 @@ def boards(
 
 
 def facts(board: "Board") -> dict[str, Any]:
-    """Return the properties of a board, with units in the names."""
+    """Return the properties of a board. The names contain the units."""
     steps = 1 if board.amplitude == "on_off" else board.amplitude_steps
     return {
         "board": board.name,
@@ -94,7 +94,7 @@ def as_markdown() -> str:
 
 
 def _bytes(data: bytes) -> str:
-    """Return bytes as decimals; repeated bytes as N x BYTE."""
+    """Return bytes as decimal numbers. A repeated byte is written as N x BYTE."""
     runs: list[tuple[int, int]] = []
     for byte in data:
         if runs and runs[-1][1] == byte:
@@ -110,7 +110,7 @@ def _bytes(data: bytes) -> str:
 
 
 def describe(board: str | None, markdown: bool) -> None:
-    """Print the properties of one board, all boards, or the part of the page."""
+    """Print the properties of one board, the table of all boards, or the part of the documentation page."""
     from palmfield.drive.boards import playable_board
 
     if markdown:

@@ -1,7 +1,7 @@
 """Load commands of other distributions, by entry points of group `palmfield.commands`.
 
 The name of an entry point is that of the command. It refers to a function with Typer's annotations, whose docstring is
-the help. `context.obj` is True if only warnings, errors and JSON are to be printed.
+the help. `context.obj` is True if the command must print only warnings, errors and JSON.
 """
 
 from collections.abc import Callable
@@ -16,14 +16,14 @@ from palmfield.errors import PalmfieldError
 
 GROUP = "palmfield.commands"
 SEPARATE = {"papers": ("palmfield-papers", "Reproduce four papers, and print each number next to the published one")}
-"""Commands of separate distributions in the repository of palmfield: distribution and description."""
+"""Commands in separate distributions of the palmfield repository: name -> distribution and description."""
 CLONE = Path(__file__).resolve().parents[2]
 
 
 def commands() -> dict[str, Any]:
     """Return Typer's commands by name.
 
-    A command that is not installed or cannot be loaded accepts any arguments and reports this.
+    If a command is not installed or cannot be loaded, a replacement accepts any arguments and reports the reason.
     """
     absent = {name: _absent(name) for name in SEPARATE}
     return absent | {entry.name: _loaded(entry) for entry in entry_points(group=GROUP)}

@@ -48,7 +48,7 @@ def clear() -> None:
 
 
 def _entries() -> tuple[Path, list["Entry"]]:
-    """Return the folder and its entries. If the cache is off or empty, print this and raise typer.Exit."""
+    """Return the cache folder and its entries. If the cache is off or empty, print this and raise typer.Exit."""
     from palmfield import cache as disk
 
     where = disk.folder()

@@ -1,4 +1,4 @@
-"""`palmfield calibrate`: make a calibration file from readings of a laboratory."""
+"""`palmfield calibrate`: make a calibration file from laboratory readings."""
 
 from pathlib import Path
 from typing import Annotated
@@ -83,7 +83,7 @@ def import_(
     file: Annotated[Path, typer.Argument(help="file of the vendor for an OpenMPD board", metavar="BOARD_N.pat")],
     board: Annotated[Path, typer.Argument(help="the new calibration", metavar="BOARD.json")],
 ) -> None:
-    """Convert the file of the vendor for one OpenMPD board (pins, phases, polarities) to a calibration.
+    """Convert the vendor's file for one OpenMPD board (pins, phases, polarities) to a calibration.
 
     Example: palmfield calibrate import board_10.pat board.json
     """
@@ -133,7 +133,7 @@ def show(
         Path | None, typer.Option(help="plot phase, polarity and gain over the board", metavar="FILE")
     ] = None,
 ) -> None:
-    """Print the parts of a calibration and those that are missing, and draw it.
+    """Print which parts a calibration contains and which are missing, and draw it.
 
     Example: palmfield calibrate show board.json --png board.png
     """
@@ -149,7 +149,7 @@ def rehearse(
     layout: Annotated[str, typer.Option(help="layout of the array (docs/arrays.md)")] = "sonicsurface",
     seed: Annotated[int, typer.Option(help="seed of the random numbers")] = 0,
 ) -> None:
-    """Write readings of an imaginary board and its true values (truth.json), to practise without an array.
+    """Write readings of an imaginary board, for practice without an array. Its true values are in truth.json.
 
     Example: palmfield calibrate rehearse trial
     """

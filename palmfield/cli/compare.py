@@ -45,7 +45,7 @@ def compare(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another comparison in the folder")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compare a vibrometer scan with a run: gain, delay, difference and coherence at each point, and wavenumbers.
+    """Compare a vibrometer scan with a run: gain, delay, difference and coherence at each point; wavenumbers.
 
     The scan is moved onto the skin, and the computed motion passes through a model of the same instrument.
 

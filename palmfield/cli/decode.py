@@ -1,4 +1,4 @@
-"""`palmfield decode`: compute the foci that bytes produce."""
+"""`palmfield decode`: compute which foci a file of bytes produces."""
 
 from pathlib import Path
 from typing import Annotated
@@ -23,7 +23,7 @@ def decode(
     png: Annotated[Path | None, typer.Option(help="draw the foci", metavar="FILE")] = None,
     csv: Annotated[Path | None, typer.Option(help="CSV file for the table of all foci", metavar="FILE")] = None,
 ) -> None:
-    """Show the foci that bytes produce: they are fitted to the emission of the virtual twin of the board.
+    """Show the foci that a file of bytes produces. They are fitted to the emission of the board's virtual twin.
 
     Example: palmfield drive mjcf/scenes/palm_circle_sonicsurface.xml --record c.bin && palmfield decode c.bin --board
     sonicsurface --png c.png

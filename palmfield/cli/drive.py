@@ -71,11 +71,11 @@ def drive(
 ) -> None:
     """Play a scene or one focus on a real board, or record the bytes for it.
 
-    The frames are those that `palmfield run` simulates, with hands and arrays at their positions when each frame is
-    emitted. A separate process sends them. If the board cannot play the scene, the exit code is 2; if more than 1 % of
-    the due frames could not be sent, it is 4. The board is switched off at the end, on Ctrl-C, on Ctrl-Z until `fg`, on
-    errors, and if this program is killed. An uncalibrated board does not focus: about half of its transducers are wired
-    with inverted polarity.
+    The frames are those that `palmfield run` simulates: each frame uses the positions of hands and arrays at its
+    emission. A separate process sends the frames. If the board cannot play the scene, the exit code is 2; if more than
+    1 % of the due frames could not be sent, it is 4. The board is switched off at the end, on Ctrl-C, on Ctrl-Z until
+    `fg`, on errors, and if this program is killed. An uncalibrated board does not focus: about half of its transducers
+    are wired with inverted polarity.
 
     Examples: palmfield drive --focus 0 0 0.15 --port /dev/ttyUSB0 --duration 5
 
@@ -129,7 +129,7 @@ def drive(
 
 
 def _refuse_focus_options(context: typer.Context) -> None:
-    """Raise SceneError for an option of --focus that is used with a scene."""
+    """Raise SceneError if an option of --focus is used with a scene."""
     for name, key in OF_A_FOCUS.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":

@@ -37,11 +37,11 @@ def run_command(
         str | None, typer.Option(help="board to use in place of that of the experiment or scene", metavar="BOARD")
     ] = None,
 ) -> None:
-    """Run the trials of an experiment, from the first, or from the end of its log.
+    """Run the trials of an experiment, from the first trial or from where its log ends.
 
-    Each trial is on the disk before the next begins, with the times at which its frames sounded. Ctrl-C, or q at the
-    keyboard, loses no trial, and the same command continues. A log of another design, scene, participant, observer or
-    board is not accepted. Without --port and --virtual nothing is played, which suffices for simulated observers.
+    Each trial is saved, with the times at which its frames sounded, before the next trial begins. So Ctrl-C, or key q,
+    loses no trial, and the same command continues the experiment. A log of another design, scene, participant, observer
+    or board is not accepted. Without --port and --virtual nothing is played, which suffices for simulated observers.
 
     Examples: palmfield experiment run threshold.toml --log p01.jsonl --participant p01 --port /dev/ttyUSB0
 

@@ -20,9 +20,9 @@ def hand(
         Path | None, typer.Option(help="MJCF file of bodies for the joints of the mesh", metavar="FILE")
     ] = None,
 ) -> None:
-    """Check a hand mesh: unit, size, side, repaired and fatal faults, and skin layers that fit on it.
+    """Check a hand mesh: unit, size, side, faults (repaired or fatal), and the skin layers that fit on it.
 
-    Exit code 0: accepted; 3: accepted with doubts, for example whether it is a hand; 2: refused.
+    Exit code 0: accepted; 3: accepted with doubts, for example about whether it is a hand; 2: refused.
 
     Examples: palmfield hand my_hand.glb --json card.json --png card.png
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 Rows = list[tuple[str, str]]
 SOFTNESS_Hz = 200.0
-"""Frequency at which the modulus of a material is given."""
+"""Frequency at which the modulus of a material is reported."""
 
 
 def info(
@@ -35,8 +35,8 @@ def info(
 def scene_facts(view: "Preview") -> dict[str, Any]:
     """Return the contents of a scene for `palmfield info`. Keys of plugins have the same names as in scenes.
 
-    p0 [Pa m] and quality of each array are the values in effect, with range and kind, from keys or defaults. Moduli are
-    storage and loss at 200 Hz.
+    For each array, p0 [Pa m] and quality are the values in effect, from keys or defaults, with range and kind. Moduli
+    are the storage and loss modulus at 200 Hz.
     """
     from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
     from palmfield.estimate.summary import array_numbers
@@ -107,7 +107,7 @@ def scene_facts(view: "Preview") -> dict[str, Any]:
 
 
 def describe(scene: "Preview") -> str:
-    """Return arrays, air, stimuli, skins, materials, laws and conventions of a scene, as a table."""
+    """Describe a scene as a table: arrays, air, stimuli, skins, materials, laws and conventions."""
     from palmfield.terminal import printed, table
 
     model = scene.runtime.model
@@ -124,7 +124,7 @@ def describe(scene: "Preview") -> str:
 
 
 def _named(name: str, count: int, rows: Rows) -> Rows:
-    """Add the name of the instance to rows if there are several of its kind."""
+    """Add the name of the instance to the rows if there are several instances of its kind."""
     return rows if count == 1 else [(f"{what} ({name})", text) for what, text in rows]
 
 
@@ -153,7 +153,7 @@ def _arrays(model: "HapticModel") -> Rows:
 
 
 def _estimate(one: "Estimate", unit: str) -> str:
-    """Return a number with range, kind and source."""
+    """Return a number with its range, kind and source."""
     return f"{one.value:g}{unit} ({one.low:g} to {one.high:g}), {one.kind}: {one.source}"
 
 

@@ -1,4 +1,7 @@
-"""`palmfield keys`: list the keys of scenes, and print the page docs/keys.md, from the configuration models."""
+"""`palmfield keys`: list the keys of scenes, or print the page docs/keys.md.
+
+Both come from the configuration models.
+"""
 
 import re
 from collections.abc import Sequence
@@ -131,7 +134,10 @@ def _section(title: str, about: str, rows: Sequence[tuple[str, ...]]) -> list[st
 
 
 def _limits(limits: str) -> str:
-    """Return the allowed values of a key, shortened for the page: `> 0, <= 20` for `finite number > 0 and <= 20`."""
+    """Return the allowed values of a key in a short form for the page, e.g.
+
+    `> 0, <= 20` for `finite number > 0 and <= 20`.
+    """
     return SHORT.sub(r"\1", limits).replace(" and <", ", <").replace(" | ", ", ")
 
 

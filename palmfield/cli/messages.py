@@ -1,4 +1,4 @@
-"""Write the log of the library, and errors, to standard error."""
+"""Write errors and the log of the library to standard error."""
 
 import logging
 import sys
@@ -9,7 +9,7 @@ LEVELS = ("debug", "info", "warning", "error")
 
 
 class _Lines(logging.Formatter):
-    """Formats `palmfield: text`, with the name of the level before warnings and errors."""
+    """Formats log records as `palmfield: text`. The level precedes warnings and errors."""
 
     def format(self, record: logging.LogRecord) -> str:
         level = "" if record.levelno == logging.INFO else f"{record.levelname.lower()}: "
@@ -17,14 +17,14 @@ class _Lines(logging.Formatter):
 
 
 class _StandardError(logging.Handler):
-    """Writes lines to the present sys.stderr."""
+    """Writes lines to the current sys.stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print(self.format(record), file=sys.stderr)
 
 
 def show_log(level: str) -> None:
-    """Show messages of logger `palmfield` from a level on. Raises SceneError for an unknown level."""
+    """Show the messages of logger `palmfield` from a level upwards. Raises SceneError for an unknown level."""
     refuse_unknown(SceneError, "--log-level has value {}", level, LEVELS)
     logger = logging.getLogger("palmfield")
     for handler in [handler for handler in logger.handlers if isinstance(handler, _StandardError)]:

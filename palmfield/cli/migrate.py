@@ -1,4 +1,4 @@
-"""`palmfield migrate`: rewrite a scene of the last version with the present names."""
+"""`palmfield migrate`: rewrite a scene of the previous version with the current names."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +13,7 @@ def migrate(
     out: Annotated[Path | None, typer.Option(help="file to write [default: SCENE itself]")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace an existing file")] = False,
 ) -> None:
-    """Rewrite a scene of the last version with the new names of keys and values.
+    """Rewrite a scene of the previous version with the new names of keys and values.
 
     Comments and layout are preserved; changes are printed. An existing file is replaced only with --overwrite.
 

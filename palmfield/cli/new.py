@@ -110,8 +110,8 @@ def new(
 def write_scene(name: str, where: Path = Path(), stimulus: str | None = None) -> list[Path]:
     """Write the folder NAME with NAME.xml, NAME_plain.xml and the included array and hand; return the paths.
 
-    stimulus: a standard one (`palmfield.stimulus.standard`), with its duration; None: AM at 200 Hz
-    The folder can be moved and sent, because its files refer only to each other.
+    stimulus: name of a standard stimulus (`palmfield.stimulus.standard`), whose duration is used too; None: AM at 200
+    Hz The folder can be moved and sent, because its files refer only to each other.
     Raises SceneError for an invalid name and an unknown stimulus, OutputError if the folder exists or cannot be
     written.
     """

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("palmfield.cli")
 UNSET = "unset"
-"""Value that removes a key of the scene, so that its default applies."""
+"""Value of `--set` that removes a key from the scene, so that its default applies."""
 
 
 def group(name: str, about: str) -> typer.Typer:
@@ -31,7 +31,10 @@ def offered_plugins(incomplete: str) -> list[str]:
 
 
 def offered_settings(incomplete: str) -> list[str]:
-    """Return keys for `--set` that begin with `incomplete`; after a complete key its values, if they are words."""
+    """Return keys for `--set` that begin with `incomplete`.
+
+    After a complete key, return its values if they are words.
+    """
     from palmfield.config import CONFIGS, allowed
 
     name, equals, _ = incomplete.partition("=")
@@ -91,9 +94,11 @@ def check_duration(duration: float | None) -> None:
 
 
 def parsed_keys(keys: list[str] | None) -> dict[str, str]:
-    """Return keys for `palmfield.load`. Files are first looked up in the current folder, which is then logged.
+    """Return keys for `palmfield.load`.
 
-    Other files are relative to the scene. The value of a removed key (`unset`) is empty.
+    A file name is first looked up in the current folder; if it exists there, this is logged.
+
+    Other file names are relative to the scene. The value of a removed key (`unset`) is empty.
     Raises SceneError for a key without a value, and for a repeated key.
     """
     result: dict[str, str] = {}

@@ -18,7 +18,7 @@ def plan(
     details: Annotated[bool, typer.Option("--details", help="print all decisions with their reasons")] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Report modelled and ignored effects, with reasons, expected time and error, without simulation.
+    """Report, without simulation, the modelled and ignored effects with reasons, and the expected time and error.
 
     Example: palmfield plan mjcf/scenes/palm_am200.xml --accuracy 0.02 --duration 0.5
     """

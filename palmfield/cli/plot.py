@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SHEET = "kinds.png"
 SPEED = "speed"
-"""Kind of picture that is drawn from the report of a benchmark, not from a run."""
+"""Kind of picture that is drawn from a benchmark report instead of a run."""
 ABOUT_SPEED = "speed against error, from a table of palmfield bench skin or field (TABLE.md)"
 
 
@@ -59,7 +59,8 @@ def plot(
 ) -> None:
     """Draw pictures of a run for a paper: field, drives, maps of motion and levels, time courses, spectra, wavefronts.
 
-    Formats are PNG at 300 dpi, SVG and PDF. Kinds that a run does not allow are reported; named ones give an error.
+    Formats are PNG at 300 dpi, SVG and PDF. If a run lacks the data of a kind, this is reported; for a kind that you
+    name, it is an error.
 
     Examples: palmfield plot out/palm
 
@@ -94,7 +95,7 @@ def plot(
 
 
 def list_kinds(run: Path | None, out: Path | None, as_json: bool) -> None:
-    """Print the kinds with a description; for a run, also draw an overview of all of them, kinds.png."""
+    """Print the kinds of pictures with a description. For a run, also draw an overview of all kinds, kinds.png."""
     from palmfield.outputs.pictures.kinds import KINDS
     from palmfield.outputs.pictures.sheet import draw_sheet
     from palmfield.outputs.store import open_result
@@ -114,14 +115,14 @@ def list_kinds(run: Path | None, out: Path | None, as_json: bool) -> None:
 
 
 def _plots(run: Path) -> Path:
-    """Return the folder of the plots of a run, from its folder or a file in it."""
+    """Return the plot folder of a run. run: folder of the run, or a file in it"""
     return (run if run.is_dir() else run.parent) / "plots"
 
 
 def _plot_speed(
     run: Path, kinds: Sequence[str], options: "Options", out: Path | None, suffix: str, as_json: bool
 ) -> None:
-    """Draw speed against error from the report of a benchmark, next to it or into a folder."""
+    """Draw speed against error from a benchmark report. The picture is written next to the report or into a folder."""
     from palmfield.outputs.pictures.draw import DPI
     from palmfield.outputs.pictures.options import Options
     from palmfield.outputs.style import FORMATS, save, style

@@ -1,4 +1,4 @@
-"""`palmfield prepare`: compute before a run the data that it stores on disk."""
+"""`palmfield prepare`: compute, before a run, the data that the run stores on disk."""
 
 from pathlib import Path
 from typing import Annotated
@@ -23,7 +23,8 @@ def prepare(
 ) -> None:
     """Compile kernels, and compute the meshes, modes and reduced models of a scene before its runs.
 
-    Runs read these data from disk; their results do not change. The error estimate is computed only in the run.
+    Runs then read these data from disk. The results of a run do not change. The error estimate is computed only in the
+    run.
 
     Example: palmfield prepare mjcf/scenes/palm_am200.xml
     """

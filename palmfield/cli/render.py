@@ -1,4 +1,4 @@
-"""`palmfield render`: make a film of a run."""
+"""`palmfield render`: make a video of a run."""
 
 from pathlib import Path
 from typing import Annotated
@@ -30,10 +30,10 @@ def render(
     size: Annotated[str, typer.Option(help="[pixels]", metavar="WIDTHxHEIGHT")] = "960x720",
     as_json: AsJson = False,
 ) -> None:
-    """Make a film of a run: the hand with the motion or the ARP on its skin, slowed down and magnified.
+    """Make a video of a run: the hand, with the motion or the ARP on its skin, slowed down and magnified.
 
-    One frame takes half a second of one core; all cores share the frames. Ctrl-C keeps the frames drawn so far. This
-    needs the extra `video`.
+    One frame takes half a second on one core; the frames are divided among all cores. Ctrl-C keeps the frames drawn so
+    far. This needs the extra `video`.
 
     Example: palmfield render out/palm --video palm.mp4 --from 20 --to 40
     """

@@ -16,8 +16,8 @@ def replay(
 ) -> None:
     """Send recorded bytes to a port again, at their times; the board is off at the end.
 
-    The duration of sound and the level at a head are checked before, against the limits in the log or in --set
-    driver.KEY=VALUE. If they are exceeded, the exit code is 2.
+    Before anything is sent, the duration of sound and the level at a head are checked against limits. The limits are
+    those in the log, or those of --set driver.KEY=VALUE. If a limit is exceeded, the exit code is 2.
 
     Examples: palmfield replay sent.jsonl --port /dev/ttyUSB0
 

@@ -1,4 +1,4 @@
-"""`palmfield run`: simulate a scene, with messages before and after."""
+"""`palmfield run`: simulate a scene, and print messages before and after."""
 
 import logging
 import platform

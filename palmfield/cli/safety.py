@@ -20,9 +20,11 @@ def safety(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace an existing file")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a page for an ethics board: levels at head and hand, audible sound, limits, and limits of the board.
+    """Write a page for an ethics board: sound levels at head and hand, audible sound, and limits of exposure and of the
+    board.
 
-    Levels have a band due to the range of p0. Set the position of a head by driver keys head_m and head_radius_m.
+    Each level has a band, which is due to the range of p0. Set the position of a head by driver keys head_m and
+    head_radius_m.
 
     Example: palmfield safety mjcf/scenes/palm_circle_sonicsurface.xml --set driver.head_m="0 -0.3 0.5" --out sheet.md
     """

@@ -1,4 +1,4 @@
-"""`palmfield stimulus`: import and export tables of foci and STMs of AUTD3 units."""
+"""`palmfield stimulus`: import and export tables of foci, and STM files of AUTD3 devices."""
 
 from pathlib import Path
 from typing import Annotated, cast
@@ -44,8 +44,8 @@ def import_command(
     """Write a scene that plays the foci of FILE, and next to it the table that the scene reads.
 
     Path, focus, modulation and bursts of the stimulus in the scene are removed, because the table gives positions and
-    intensities of the foci. Level (drive_amplitude or arp_peak_Pa, for intensity 1), start and end are kept. The new
-    scene works in plan, run and drive. An invalid table gives an error with line and column.
+    intensities of the foci. Level (drive_amplitude or arp_peak_Pa, for intensity 1), start and end are kept. The
+    commands plan, run and drive accept the new scene. An invalid table gives an error with line and column.
 
     Example: palmfield stimulus import circle.csv --scene first/first.xml --repeat
     """
@@ -85,8 +85,8 @@ def export_command(
 ) -> None:
     """Write positions and intensities of the foci of a stimulus over time.
 
-    Each row applies for one sample; rows equal to the row before are omitted. Positions in the frame of the array
-    follow moving hands and arrays. Rates of AUTD3 units are 40 kHz divided by a whole number.
+    Each row is one sample; a row equal to the previous row is omitted. Positions in the frame of the array follow
+    moving hands and arrays. The rates of AUTD3 devices are 40 kHz divided by a whole number.
 
     Examples: palmfield stimulus export mjcf/scenes/palm_circle.xml circle.csv --rate 2000
 
@@ -118,7 +118,7 @@ def standard_command(
     name: Annotated[str | None, typer.Argument(help="name of one stimulus [default: list all]", metavar="NAME")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="for other programs")] = False,
 ) -> None:
-    """Show the standard stimuli, which experiments have used, with source, published result and keys.
+    """Show the standard stimuli, which are taken from published experiments, with source, published result and keys.
 
     `palmfield new SCENE --stimulus NAME` writes a scene with one of them.
 

@@ -64,12 +64,12 @@ def sweep(
 ) -> None:
     """Simulate a scene over values of its keys; write one labelled dataset, DIR/sweep.zarr, and a picture.
 
-    For each point the dataset contains peak and rms displacement and velocity of each skin, the motion over time at the
-    point of largest motion and at each sensor, peak ARP, force, and level above threshold by observer. Open it by
-    `xarray.open_zarr`; keys are dimensions.
+    A point is one combination of values. For each point the dataset contains peak and rms displacement and velocity of
+    each skin, the motion over time at the point of largest motion and at each sensor, peak ARP, force, and level above
+    threshold by observer. Open it by `xarray.open_zarr`; keys are dimensions.
 
-    Ctrl-C, a killed worker or a full disk lose only the points in progress: the same command continues. A failed point
-    is recorded with its error. This needs the extra [sweep]: pip install 'palmfield[sweep]'.
+    Ctrl-C, a killed worker or a full disk lose only the points in progress; the same command continues the sweep. A
+    failed point is recorded with its error. This needs the extra [sweep]: pip install 'palmfield[sweep]'.
 
     Examples: palmfield sweep mjcf/scenes/palm_am200.xml --set stimulus.am_frequency_Hz=50:300:6 --out out/frequency
 
@@ -104,7 +104,7 @@ def sweep(
 
 
 def in_words(result: "Sweep") -> str:
-    """Describe how many points are done, why others have failed, and the files."""
+    """Describe the number of completed points, the reasons why other points failed, and the files."""
     lines = [f"{result.done} of {result.points} points are done"]
     reasons: dict[str, list[int]] = {}
     for number, reason in result.failed.items():

@@ -30,7 +30,7 @@ def replay(
         bool, typer.Option("--stamp", help="time-stamp samples when they are sent, by this machine's monotonic clock")
     ] = False,
 ) -> None:
-    """Send a recorded hand in real time to a program that receives tracker samples.
+    """Send a recorded hand motion in real time to a program that receives tracker samples.
 
     Example: palmfield track replay seen.npz --to 127.0.0.1:9100 --convention leapc
     """
@@ -96,10 +96,10 @@ def align(
 ) -> None:
     """Determine the pose of a tracker relative to an array from three or more touched points.
 
-    Touch known points of the array with the tip of the index finger: three that are not on a line, better five at its
-    corners and centre, and one on an object at least 20 mm high. The table has a row for each point: its position in
-    the frame of the array, and the position of joint index_tip from the tracker, in metres. Key `tracking_alignment` of
-    palmfield.motion and `palmfield trial --align` read the result.
+    Touch known points of the array with the tip of the index finger. At least three points are needed, not on one line;
+    better are the four corners, the centre, and one point on an object at least 20 mm high. The table has a row for
+    each point: its position in the frame of the array, and the position of joint index_tip from the tracker, in metres.
+    Key `tracking_alignment` of palmfield.motion and `palmfield trial --align` read the result.
 
     Example: palmfield track align touches.csv tracker.json
     """
@@ -125,10 +125,11 @@ def latency(
     by: By = "udp",
     as_json: Annotated[bool, typer.Option("--json", help="print JSON only")] = False,
 ) -> None:
-    """Measure the delay from a tracker sample to the resulting sound, by a loop through a virtual board.
+    """Measure the delay from a tracker sample to the resulting sound, with a virtual board.
 
-    Another process replays the hand of the scene over a socket. Samples are fitted, frames are made, sent through a
-    port, and emitted by a virtual board at the rate of its line. The latency of the tracker itself is not included.
+    Another process replays the hand of the scene over a socket. The hand is fitted to each sample, and frames are made
+    and sent through a port. A virtual board emits them at the rate of a real line. The latency of the tracker itself is
+    not included.
 
     Example: palmfield track latency --board sonicsurface --seconds 10
     """

@@ -1,4 +1,4 @@
-"""`palmfield trial`: simulate or run the loop from a tracker to the sound at the hand."""
+"""`palmfield trial`: simulate or run the loop from a hand tracker to the sound at the hand."""
 
 from pathlib import Path
 from typing import Annotated
@@ -70,12 +70,12 @@ def trial(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run the closed loop: tracker, focus, bytes, board, and the sound at the true position of the hand.
+    """Run the closed loop from tracker to board, and compute the sound at the true position of the hand.
 
-    The report gives the distance of the focus from the hand, the pressure lost by latency, by rounding of the board,
-    and by transducers that differ from the scene (--truth), and the dropped frames. The files are sent.jsonl (for
-    decode and replay), course.csv, trial.json and trial.png. Ctrl-C keeps the results so far. If the board cannot play
-    the scene, the exit code is 2.
+    The report gives the distance of the focus from the hand, and the number of dropped frames. It also gives the
+    pressure lost by latency, by rounding of the board, and by transducers that differ from the scene (--truth). The
+    files are sent.jsonl (for decode and replay), course.csv, trial.json and trial.png. Ctrl-C keeps the results so far.
+    If the board cannot play the scene, the exit code is 2.
 
     Examples: palmfield trial mjcf/scenes/follow_fingertip.xml --board autd2018
 
@@ -110,7 +110,10 @@ def trial(
 
 
 def motion_keys(path: Path) -> dict[str, object]:
-    """Return keys that set a recorded motion for the only palmfield.motion. Raises SceneError for an invalid file."""
+    """Return keys that set a recorded motion for the only palmfield.motion instance.
+
+    Raises SceneError for an invalid file.
+    """
     from palmfield.motion.tracking import column_names
 
     with reading(f"--motion {path}", SceneError, "a CSV or NPZ table"), regular(path).open("rb") as file:

@@ -47,10 +47,10 @@ def view(
     align: Align = None,
     browser: Annotated[bool, typer.Option("--browser", help="open the page in the default browser")] = False,
 ) -> None:
-    """Run a scene and watch it in the browser: hand, array, sound and motion on the skin, level above threshold.
+    """Run a scene and show it in the browser: hand, array, sound, motion of the skin, and level above threshold.
 
-    Sliders change focus, modulation, path, level and the pose of the hand. A recording is a result folder like that of
-    `palmfield run`. Ctrl-C ends the view. This needs the extra `view`.
+    Sliders change focus, modulation, path, level and the pose of the hand. A recording is a result folder, as
+    `palmfield run` writes it. Ctrl-C ends the view. This needs the extra `view`.
 
     Examples: palmfield view mjcf/scenes/palm_am200.xml
 

@@ -13,7 +13,7 @@ Layout = Literal[
     "two_bow_as_printed", "two_bow_corrected", "stratos_explore", "openmpd", "openmpd_rows", "ultraino", "sites", "csv",
 ]  # fmt: skip
 AIR_LIMITS = {"temperature_C": (-20.0, 50.0), "humidity_percent": (0.0, 100.0), "pressure_Pa": (10e3, 200e3)}
-"""Range of air that ISO 9613-1 covers; the lowest pressure is that at an altitude of about 16 km."""
+"""Limits of the air that ISO 9613-1 covers. The lowest pressure is the pressure at an altitude of about 16 km."""
 DIRECTIVITIES_FOLDER = Path(__file__).parents[1] / "acoustics" / "directivities"
 if TYPE_CHECKING:
     DirectivityName = str

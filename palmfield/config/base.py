@@ -30,12 +30,14 @@ JOINED, NUMBER = re.compile(r"\d_\d"), re.compile(r"number|decimals")
 
 
 class Config(BaseModel):
-    """Keys of one plugin instance. Values arrive as MJCF text; a value that does not fit is a SceneError.
+    """Keys of one plugin instance. The keys arrive as text from MJCF; a value that does not fit raises SceneError.
 
-    plugin: name of the plugin; about: one sentence on its keys; files: keys that name files
+    plugin: name of the plugin
+    about: one sentence that describes its keys
+    files: names of the keys whose values are file names
     renamed: old name -> new name, of a key (`device`: "board") or of a value of a key (`solver=full`: "wedges").
-        Old names are kept for one version, so that the error message can name the new one
-    refused: values allowed elsewhere but not in a scene (`solver=axisymmetric`) -> reason and advice
+        An old name is kept for one version, so that the error message can give the new name
+    refused: values that other programs accept but scenes do not (`solver=axisymmetric`) -> reason and advice
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -52,10 +54,11 @@ class Config(BaseModel):
 
 
 class naming_keys(naming):
-    """Add the scene element and the key of the refused setting to a palmfield error that leaves the block.
+    """Add the scene element and the key to each palmfield error that is raised in the block.
 
-    element: name of the element in messages. config: keys of the element; the message quotes the refused value.
-    setting: refused setting, used if the error names none.
+    element: name of the element in messages
+    config: keys of the element; the message quotes the refused value
+    setting: name of the refused key, used if the error does not name one
     """
 
     def __init__(self, element: str, config: Config | None = None, setting: str = ""):
@@ -103,9 +106,9 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
 
 
 def recorded(model: type[T], text: str) -> T:
-    """Read a configuration that `model_dump_json` has written, for example into a result.
+    """Read a configuration that `model_dump_json` wrote, for example into a result.
 
-    Default values are omitted before validation, because some keys exclude each other. Raises SceneError for
+    Values equal to a default are omitted before validation, because some keys exclude each other. Raises SceneError for
     any other text.
     """
     try:
@@ -123,7 +126,7 @@ def recorded(model: type[T], text: str) -> T:
 
 @lru_cache(maxsize=256)
 def _validated(model: type[Config], values: tuple[tuple[str, str], ...]) -> Config:
-    """Return the configuration of these texts; equal texts give the same object, which other caches use as a key."""
+    """Return the configuration for these texts. Equal texts return the same object, which other caches use as a key."""
     return model.model_validate(dict(values))
 
 
@@ -140,7 +143,7 @@ def _advice(model: type[Config], key: str, value: str) -> list[str]:
 
 
 def _joined(model: type[Config], key: str, value: str) -> list[str]:
-    """Return an error message for digits joined by an underscore, which Python would read as a number."""
+    """Return the error message for a number with an underscore between digits, which Python would accept."""
     if key not in model.model_fields or not JOINED.search(value):
         return []
     limits = allowed(model, key)

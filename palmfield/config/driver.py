@@ -94,12 +94,12 @@ class DriverConfig(Config):
     )
 
     def of_board(self, keys: Container[str]) -> dict[str, Any]:
-        """Return the values of those of `keys` that are set."""
+        """Return the values of the keys in `keys` that the scene sets."""
         return {key: value for key, value in self.model_dump(exclude_none=True).items() if key in keys}
 
     @property
     def board_keys(self) -> dict[str, Any]:
-        """Keys of the board only, those that are set."""
+        """Return the keys that the scene sets and that apply only to the board."""
         own = self.model_dump(exclude={"board", "compensate", "duty_exponent", *SAFETY_KEYS}, exclude_none=True)
         if "dither" in own:
             own["dither"] = own["dither"] == "on"

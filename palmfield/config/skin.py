@@ -11,14 +11,14 @@ Length = Annotated[float, Field(ge=5e-4, le=1.0)]
 ArpLaw = Literal["default", "alpha"]
 Base = Literal["bonded", "free_slip", "free", "springs", "deep", "muscle"]
 ENDLESS = ("deep", "muscle")
-"""Bases on which tissue goes on downwards without end."""
+"""Values of key `base` for tissue that continues downwards without limit."""
 Side = Literal["fixed", "free", "roller", "absorbing"]
 SPRINGS = ("base_normal_Pa_m", "base_tangential_Pa_m", "base_normal_Pa_s_m", "base_tangential_Pa_s_m")
 WHOLE_HISTORY = ("axisymmetric", "lateral_waves")
-"""Solvers that need the whole load history in advance, so that a scene cannot use them."""
+"""Solvers that need the whole load history in advance. A scene cannot use them."""
 Solver = Literal["auto", "wedges", "reduced", "modal", "spectral_elements", "particles"]
 NOT_LINEAR = ("particles",)
-"""Solvers whose motions under two loads do not add up."""
+"""Solvers for which the response to two loads is not the sum of the two responses."""
 SKIN_SOLVERS = "palmfield.skin_solvers"
 """Entry points of other packages: name of a solver -> maker of a `palmfield.skin.explicit_layer.ExplicitLayer`."""
 OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
@@ -33,7 +33,7 @@ def _installed(solver: str) -> str:
 
 Shape = Literal["hand", "articulated", "disc", "mesh", "rigged", "cylinder"]
 BODIES = tuple(shape for shape in get_args(Shape) if shape != "disc")
-"""Shapes that carry a skin layer; a disc is itself the layer."""
+"""Shapes that carry a skin layer. A disc is not in this list, because it is itself the layer."""
 OF_SHAPES = {
     "hand": ("hand", "articulated"),
     "mesh": ("mesh", "rigged"),
@@ -47,9 +47,9 @@ OF_SHAPES = {
     "depth_m": BODIES,
     "force_accuracy": BODIES,
 }
-"""Keys that only some shapes use; with another shape they are an error."""
+"""Keys that apply only to some shapes. With another shape they raise an error."""
 THICKEST = 0.85
-"""Largest layer thickness of a cylinder over its radius; beyond it, elements near the axis get too thin."""
+"""Largest ratio of layer thickness to cylinder radius. In thicker layers, the elements near the axis are too thin."""
 WITH_A_UNIT = (".glb", ".gltf", ".pkl")
 """Mesh file formats that define the unit of length."""
 
@@ -307,12 +307,15 @@ class SkinConfig(Config):
 
     @property
     def unit(self) -> str:
-        """Length unit of the file of key `mesh`; "auto" if no key sets it."""
+        """Length unit of the file of key `mesh`, or "auto" if no key sets it."""
         return self.mesh_unit or "auto"
 
     @property
     def springs(self) -> tuple[float, float, float, float] | None:
-        """Normal and tangential stiffness [Pa/m] and damping [Pa s/m] per area of base `springs`, else None."""
+        """Stiffness [Pa/m] and damping [Pa s/m] per area of base `springs`, normal and tangential.
+
+        None for other bases.
+        """
         if self.base != "springs":
             return None
         normal, tangential, normal_loss, tangential_loss = (getattr(self, key) or 0.0 for key in SPRINGS)

@@ -20,7 +20,7 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "sites": ("path_sites",),
     "file": ("path_file",),
 }
-"""Keys that each path needs for its shape."""
+"""Keys that each path shape requires."""
 ZIGZAG = ("path_zigzag_width_m", "path_zigzag_speed_m_s")
 """Keys of a zigzag along an open path."""
 OPTIONAL: dict[str, tuple[str, ...]] = {
@@ -38,23 +38,26 @@ AM_WAVEFORMS: dict[str, tuple[str, ...]] = {
     "burst": ("am_burst_length_s", "am_burst_period_s"),
     "file": ("am_file",),
 }
-"""Keys that each waveform needs for its shape."""
+"""Keys that each modulation waveform requires."""
 AM_OPTIONAL: dict[str, tuple[str, ...]] = {"hann": ("am_waveform_duty",), "burst": ("am_burst_phase_deg",)}
 OF_WAVEFORMS = ("am_waveform_duty", "am_burst_length_s", "am_burst_period_s", "am_burst_phase_deg", "am_file")
 AM_KEYS = ("am_quantity", "am_frequency_Hz", "am_depth", "am_waveform", "am_normalisation", *OF_WAVEFORMS)
 FARTHEST_FOCUS_M = 10.0
-"""Largest distance of a focus from the origin [m]; over 10 m, air absorbs 13 dB at 40 kHz."""
+"""Largest distance of a focus from the origin [m]. Over 10 m, air absorbs 13 dB at 40 kHz."""
 Extent = Annotated[float, Field(gt=0.0, le=2.0 * FARTHEST_FOCUS_M)]
-"""Extent of a path [m], at most the diameter of the range of foci."""
+"""Extent of a path [m]. The limit is the diameter of the region of allowed foci."""
 USUAL_FOCUS_M = 0.2
 MOVING = ("path_rate_Hz", "path_speed_m_s", "path_end", "path_points")
 STEPS = 1e-6
-"""Largest deviation of the width of a path from a whole number of steps, as a share of a step."""
+"""Tolerance for the width of a path, which must be a whole number of steps: largest relative deviation."""
 PATH_KEYS = (*MOVING, *{key for keys in (*NEEDED.values(), *OPTIONAL.values()) for key in keys})
 
 
 def too_far(focus_m: tuple[float, float, float]) -> str | None:
-    """Return the error text, with the likely unit, for a focus [m] that is not finite or too far away; else None."""
+    """Return an error text for a focus [m] that is not finite or is too far away; None for a valid focus.
+
+    The text names the unit that the user probably meant.
+    """
     if not all(map(math.isfinite, focus_m)):
         return "which is not a position; allowed: three finite numbers, in metres"
     distance = math.dist(focus_m, (0.0, 0.0, 0.0))

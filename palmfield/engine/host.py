@@ -27,9 +27,11 @@ if TYPE_CHECKING:
 class World(DataView):
     """One mjData with the modules of its plugin instances.
 
-    scene: the palmfield scene in this mjData, made by its first skin. view: its picture, made at first drawing.
-    undrawn: whether drawing it has failed.
-    error: an error that a module could not raise through C. quiet: whether a caller raises it, so MuJoCo need not warn.
+    scene: the palmfield scene in this mjData, made by its first skin
+    view: the picture of the scene, made when it is first drawn
+    undrawn: whether drawing the scene has failed
+    error: error that a module could not raise through C
+    quiet: whether the caller raises the error itself, so that MuJoCo need not print a warning
     """
 
     def __init__(self, model: int, data: int):
@@ -42,12 +44,12 @@ class World(DataView):
 
 
 class Module:
-    """One plugin instance of one mjData. Override the needed methods; the others do nothing.
+    """One plugin instance of one mjData. A subclass overrides the methods that it needs; the other methods do nothing.
 
     name: plugin name in the scene, e.g. `palmfield.skin`
     config: keys of the module, a `palmfield.config.Config`
-    sensor: whether `<sensor><plugin>` may refer to it
-    only_senses: whether this instance only fills sensors, and another one does forces and advance
+    sensor: whether `<sensor><plugin>` may refer to the module
+    only_senses: whether this instance only fills sensors, while another instance computes forces and advances the state
     """
 
     name: ClassVar[str]
@@ -69,33 +71,41 @@ class Module:
         return 0
 
     def forces(self) -> None:
-        """Add passive forces at the present time; may be called several times in one step."""
+        """Add passive forces at the present time. MuJoCo may call this several times in one step."""
 
     def sense(self) -> None:
         """Fill the sensors of the module (`self.world.sensors(self.instance)`)."""
 
     def advance(self) -> None:
-        """Advance the state of the module by one step; MuJoCo's time is already the end of the step."""
+        """Advance the state of the module by one step.
+
+        When this is called, MuJoCo's time is already the end of the step.
+        """
 
     def draw(self, drawing: "Drawing") -> None:
         """Add objects to the next picture of a viewer; this must not change the simulation."""
 
     def copy_from(self, other: Any) -> None:
-        """Adopt `other`, the module of another mjData whose state mj_copyData has copied into this one."""
+        """Copy the data of `other`, the same module in another mjData.
+
+        mj_copyData has already copied the MuJoCo state.
+        """
 
 
 ADVANCES = -1
-"""Capability of MuJoCo plugins that represents the end of a step."""
+"""Capability flag of MuJoCo plugins. MuJoCo calls a plugin with this flag at the end of each step."""
 _worlds: dict[int, World] = {}
 _lock = threading.RLock()
 _thunks: list[Any] = []
 
 
 class _Compiling(threading.local):
-    """The model that this thread compiles. active: whether modules are switched off; error: error of a module's
-    construction.
+    """State of the model that this thread compiles.
 
-    sized: model and instance whose sizes MuJoCo requested last; sizing: model and first error of such a request
+    active: whether modules are switched off
+    error: error that the constructor of a module raised
+    sized: model and instance whose sizes MuJoCo requested last
+    sizing: model, and the first error of such a request
     """
 
     active = False
@@ -125,7 +135,7 @@ def raise_errors(data: mujoco.MjData) -> None:
 
 @contextmanager
 def compiling() -> Iterator[None]:
-    """Switch modules off in the block: MuJoCo tests a compiled model by a step, which would factorise a skin."""
+    """Switch modules off in the block. MuJoCo tests a compiled model by one step, which would factorise the skins."""
     _compiling.active = True
     try:
         yield
@@ -134,13 +144,16 @@ def compiling() -> Iterator[None]:
 
 
 def pop_compile_error() -> Exception | KeyboardInterrupt | None:
-    """Return the error of constructing a module since the last call in this thread; MuJoCo only quotes it."""
+    """Return, and remove, the last error that a module constructor raised in this thread.
+
+    MuJoCo only quotes its text.
+    """
     error, _compiling.error, _compiling.sizing = _compiling.error, None, None
     return error
 
 
 def _fail(world: World | None, module: str, error: Exception | KeyboardInterrupt) -> None:
-    """Store the first error for `raise_errors`, show it through MuJoCo, and set results to NaN."""
+    """Store the first error for `raise_errors`, report it through MuJoCo, and set all results to NaN."""
     silent = _compiling.active if world is None else world.quiet or world.error is not None
     if not silent:
         expected = isinstance(error, PalmfieldError | KeyboardInterrupt)
@@ -154,7 +167,7 @@ def _fail(world: World | None, module: str, error: Exception | KeyboardInterrupt
 
 
 def _cut_off(world: World, module: str) -> None:
-    """Store Ctrl-C, which cannot pass through MuJoCo's C frames, for `raise_errors`."""
+    """Store Ctrl-C for `raise_errors`, because an interrupt cannot pass through the C frames of MuJoCo."""
     if world.error is not None:
         # The last error has not been raised. A further Ctrl-C must end a program that never calls `raise_errors`:
         # it is raised again, and ends the program as soon as this thread runs Python

@@ -12,14 +12,14 @@ from palmfield.transforms import relative
 from palmfield.types import Float
 
 Accelerations = Callable[[float], Float]
-"""Function from time [s] to `palmfield.motion.rates.FrameRates.numbers` of each bone, shape (bones, 12)."""
+"""Function from time [s] to the array `palmfield.motion.rates.FrameRates.numbers` of each bone, shape (bones, 12)."""
 
 
 def bone_accelerations(world: World, skin: int) -> Accelerations | None:
-    """Return the accelerations of the bones of a skin, or of its body; None if key inertia is off, or for a body at
-    rest.
+    """Return the accelerations of the bones of a skin, or of its body if it has no bones.
 
-    Raises SceneError for a body that no script sets directly, and for a script whose accelerations may jump.
+    Returns None if key inertia is off, and for a body at rest. Raises SceneError for a body that no script sets
+    directly, and for a script whose accelerations may jump.
     """
     spec, bound = world.scene.model.skins[skin].spec, world.scene.binding.skins[skin]
     if spec.config.inertia == "off":

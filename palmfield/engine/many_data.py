@@ -1,4 +1,4 @@
-"""Several mjData of one mjModel at once: loops over them run in C, without the GIL unless a callback needs Python."""
+"""Several mjData of one mjModel. Loops over them run in C; they hold the GIL only while a callback needs Python."""
 
 import ctypes
 from collections.abc import Callable, Sequence
@@ -17,15 +17,16 @@ from warp_kernels import mujoco_calls as kernels
 Field = Literal[
     "xpos", "xmat", "site_xpos", "site_xmat", "mocap_pos", "mocap_quat", "ctrl", "qpos", "qvel", "sensordata", "time"
 ]
-"""Float64 fields of mjData, whose addresses are constant during its life."""
+"""Fields of mjData in float64. The address of each field stays the same during the life of the mjData."""
 WORLDS_PER_THREAD = 16
-"""Least number of data per thread."""
+"""Smallest number of mjData for which one more thread is used."""
 
 
 class ManyData:
-    """mjData with the same mjModel.
+    """Several mjData with the same mjModel.
 
-    views: one for each mjData. calls_back: whether MuJoCo calls Python in a step, so that threads wait for the GIL.
+    views: views of the mjData, one each
+    calls_back: whether MuJoCo calls Python in a step; if so, threads must wait for the GIL
     """
 
     def __init__(self, views: Sequence[DataView], calls_back: bool):
@@ -51,7 +52,10 @@ class ManyData:
         self._share(calls)
 
     def gather(self, field: Field, offsets: Sequence[int], result: Float) -> None:
-        """Read a field at offsets (n,) into a float64 array, shape (w, n); pass the same array for a field always."""
+        """Read a field at offsets (n,) of each mjData into a float64 array of shape (w, n).
+
+        Pass the same array in all calls for one field.
+        """
         if field not in self._gathering:
             target: Any = wp.array(ptr=result.ctypes.data, dtype=wp.float64, shape=result.shape, strides=result.strides)
             inputs = [self._of(field), whole_numbers(offsets), target]
@@ -59,12 +63,15 @@ class ManyData:
         self._gathering[field]()
 
     def times(self) -> Float:
-        """Return the MuJoCo time of each mjData [s], shape (w,); the next call overwrites it."""
+        """Return the MuJoCo time of each mjData [s], shape (w,). The next call overwrites this array."""
         self.gather("time", [0], self._times)
         return self._times[:, 0]
 
     def put(self, field: Field, offsets: Sequence[int], values: Float) -> None:
-        """Write numbers at offsets into a field: shape (n,), the same for all, or (w, n)."""
+        """Write numbers at offsets into a field.
+
+        Shape (n,) writes the same numbers to all mjData; shape (w, n) one row to each.
+        """
         whole = np.asarray(offsets, np.int32)
         key = field, whole.tobytes()
         if key not in self._putting:
@@ -76,7 +83,7 @@ class ManyData:
         call()
 
     def push(self, bodies: Sequence[int], forces: Float, torques: Float) -> None:
-        """Add forces [N] and torques about body origins [N m] to the passive forces, world axes, (w, n, 3)."""
+        """Add forces [N] and torques about body origins [N m] to the passive forces; world axes, shape (w, n, 3)."""
         if self.views[0].model.raw.nv == 0:
             return
         whole = np.asarray(bodies, np.int32)
@@ -96,7 +103,7 @@ class ManyData:
         self._share(shared)
 
     def _blocks(self) -> list[slice]:
-        """Return the range of data for each thread."""
+        """Return the range of mjData for each thread."""
         count = len(self.views)
         size = -(-count // self._threads)
         return [slice(start, min(start + size, count)) for start in range(0, count, size)]
@@ -108,7 +115,7 @@ class ManyData:
             share([(call,) for call in calls], self._threads)
 
     def _of(self, field: str) -> Any:
-        """Return the addresses of a field in all data."""
+        """Return the addresses of a field in all mjData."""
         if field not in self._addresses:
             if field == "time":
                 pointers = [ctypes.addressof(view.raw) + mirror("mjData").time.offset for view in self.views]

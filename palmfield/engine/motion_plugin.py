@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class MotionModule(Module):
-    """Move a hand along its motion: after each step set the targets of the mocap body and of the servos of the joints.
+    """Moves a hand along its motion. After each step it sets the targets of the mocap body and of the joint servos.
 
-    At the first step of the scene, and at every step with follow `exact`, the hand itself is set to the pose and speed
-    of the motion. The script depends only on MuJoCo's time, so copies and saved states stay complete.
+    At the first step of the scene, and at every step with follow `exact`, it sets the hand itself to the pose and speed
+    of the motion. The motion depends only on MuJoCo's time, so copies and saved states stay complete.
     """
 
     name: ClassVar[str] = MotionConfig.plugin
@@ -69,7 +69,7 @@ class MotionModule(Module):
             raise SceneError(f"{element}: two instances move body '{settings.body}'; give each hand one")
 
     def place(self) -> None:
-        """Set mocap body, servos and the hand itself to their pose in the motion at the present time."""
+        """Set the mocap body, the servo targets and the hand itself to the pose of the motion at the present time."""
         self.world.put(self.due(self.world.time, at_once=True))
 
     def advance(self) -> None:
@@ -77,8 +77,10 @@ class MotionModule(Module):
         self.world.put(self.due(self.world.raw.time))
 
     def due(self, time_s: float, at_once: bool = False) -> list[Write]:
-        """Return the values to write for mocap body and servo targets at a time [s], and in some cases for the pose of
-        the hand. These cases are `at_once`, the first step of the scene, and key follow = exact.
+        """Return the values to write at a time [s] for the mocap body and the servo targets.
+
+        The values include the pose of the hand itself in three cases: `at_once`, the first step of the scene, and key
+        follow = exact.
         """
         pose = self.motion.at(time_s)
         place, turn = self._offsets
@@ -116,10 +118,11 @@ class MotionModule(Module):
 
 
 def place(data: mujoco.MjData) -> None:
-    """Set every scripted hand of an mjData to its pose in the motion at the time of the data; update all positions.
+    """Set every scripted hand of an mjData to the pose of its motion at the time of the data, and update all positions.
 
-    `palmfield.load` calls it; call it after `mujoco.mj_resetData` or after setting the time. Otherwise the first step
-    is computed with the hands in MuJoCo's reference configuration. Raises SceneError from the result of a motion.
+    `palmfield.load` calls this function. Call it yourself after `mujoco.mj_resetData`, or after you set the time.
+    Otherwise the first step is computed with the hands in MuJoCo's reference configuration. Raises the SceneError of a
+    motion.
     """
     world = world_of(data)
     if world is None:

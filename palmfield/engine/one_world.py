@@ -14,13 +14,17 @@ from palmfield.types import Float
 
 
 class OneWorld:
-    """One world of a scene, with the calls of `palmfield.engine.worlds.SceneWorlds`.
+    """One world of a scene. It has the same methods as `palmfield.engine.worlds.SceneWorlds`.
 
-    data: the only mjData. runtimes: the runtimes that step it.
+    data: the only mjData
+    runtimes: the `SceneRuntime` objects that step it
     """
 
     def __init__(self, data: mujoco.MjData, name: str):
-        """name: name of the scene. Raises SceneError for a scene without skins."""
+        """name: name of the scene
+
+        Raises SceneError for a scene without skins.
+        """
         world = world_of(data)
         if world is None or world.scene is None:
             raise SceneError(f"{name} has no plugin 'palmfield.skin', so it is a plain MuJoCo model; add the plugin")
@@ -39,13 +43,16 @@ class OneWorld:
         return np.array([self.runtimes[0].applied])
 
     def step(self) -> None:
-        """Run one MuJoCo step. Raises an error that a plugin raised in it."""
+        """Run one MuJoCo step. Raises the error of a plugin, if one occurred in the step."""
         mujoco.mj_step(self.mujoco_model, self.data[0])
         raise_errors(self.data[0])
 
     def several(self, most: int) -> int:
-        """Run up to `most` MuJoCo steps and return their number. They skip forces and sensors before the last step; if
-        forces have an effect or sensors are read, only one step is run. Raises as `step`."""
+        """Run up to `most` MuJoCo steps, and return the number of steps.
+
+        Forces and sensors are computed only for the last step. If forces affect the motion, or sensors are read, only
+        one step is run. Raises as `step`.
+        """
         runtime = self.runtimes[0]
         count = most if most > 1 and runtime.may_gather else 1
         if count > 1:
@@ -68,12 +75,12 @@ class OneWorld:
         self.look()
 
     def look(self) -> None:
-        """Compute forces and sensors at the present time, without a step."""
+        """Compute forces and sensors at the present time without a step."""
         mujoco.mj_forward(self.mujoco_model, self.data[0])
         raise_errors(self.data[0])
 
     def settle(self) -> None:
-        """Do nothing: no work is deferred here."""
+        """Do nothing, because this class never defers work."""
 
     def copy(self) -> "OneWorld":
         """Return another world in the same state."""

@@ -33,20 +33,20 @@ AS_BYTES = methodcaller("tobytes")
 HERE: Bool = np.ones(1, dtype=bool)
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING) | int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
-"""MuJoCo flags that together disable all passive forces."""
+"""MuJoCo flags. If all of them are set, MuJoCo omits all passive forces."""
 
 
 class SceneRuntime:
     """Model, state and workspace of one mjData.
 
-    outlets: receive the force on the parts of each body.
-    frames_read: numbers of the MuJoCo sites and bodies whose frames are read, and the rows in which they are stored.
-    skins_rest: whether steps omit skins; bodies still receive the force of the sound.
-    gathers: whether steps are only recorded and later computed together, without forces and sensors; see `settle`.
+    outlets: objects that apply the force of the sound to the parts of each body
+    frames_read: numbers of the MuJoCo sites and bodies whose frames are read, and the rows in which they are stored
+    skins_rest: whether steps omit the skins; the force of the sound still acts on the bodies
+    gathers: whether steps are only recorded, and computed together later without forces and sensors; see `settle`
     """
 
     def __init__(self, view: DataView, like: "SceneRuntime | None" = None):
-        """like: the runtime of the same scene in other data, for one of several worlds, see `join`
+        """like: the runtime of the same scene in another mjData; used if this is one of several worlds, see `join`
 
         Raises SceneError or DeviceError for an inconsistent scene.
         """
@@ -97,12 +97,12 @@ class SceneRuntime:
         frames: tuple[Float, Float],
         beside: "SceneRuntime | None" = None,
     ) -> None:
-        """Become one of several worlds, with the state outside mjData; drops all stored results.
+        """Make this one of several worlds, whose state is stored outside mjData. All stored results are dropped.
 
-        model: model of the same bodies and arrays, with the stimuli of the world. state: the part of the world, as
-        views.
-        frames: output arrays of the world frames, positions [m] and matrices, shapes (frames, 3) and (frames, 9).
-        beside: the runtime of another world with sensors at the same places; None for the first.
+        model: model of the same bodies and arrays, with the stimuli of the world
+        state: the part of the common state that belongs to the world, as views
+        frames: output arrays of the world frames: positions [m] and matrices, shapes (frames, 3) and (frames, 9)
+        beside: the runtime of another world with sensors at the same places; None for the first world
         """
         self._places = {} if beside is None else beside._places
         self.model, self.work = model, work
@@ -112,11 +112,11 @@ class SceneRuntime:
         self.forget()
 
     def forget(self) -> None:
-        """Drop the last pose."""
+        """Drop the stored pose, so that the next call reads it again."""
         self._posed, self._numbers, self._begun = self.work.reference, b"", None
 
     def reading(self, positions: Float, matrices: Float) -> list[Callable[[], object]]:
-        """Return calls that copy the present world frames into arrays of shapes (frames, 3) and (frames, 9)."""
+        """Return functions that copy the present world frames into arrays of shapes (frames, 3) and (frames, 9)."""
         calls: list[Callable[[], object]] = []
         for kind, chosen, rows in self.frames_read:
             for values, result in zip(self.view.frames[kind], (positions, matrices), strict=True):
@@ -125,7 +125,7 @@ class SceneRuntime:
         return calls
 
     def prepare(self, bar: "Progress") -> None:
-        """Make the steppers of the skins that do not exist yet; a bar shows their expected time."""
+        """Make the steppers of the skins that do not have one yet; a progress bar shows the expected time."""
         if all(lazy.made for lazy in self.model.begin):
             return
         expected_s = sum(skin.choice.seconds for skin in self.model.skins)
@@ -156,8 +156,10 @@ class SceneRuntime:
 
     @property
     def applied_parts(self) -> list[tuple[Float, Float]]:
-        """Return the mean force over the present step on the parts of each body [N], and torques about their origins
-        [N m], world axes, shapes (b, 3)."""
+        """Return the mean force and torque over the present step on the parts of each body, shapes (b, 3).
+
+        Forces are in N; torques are about the origins of the bodies in N m; both in world axes.
+        """
         return [(force[0, 0], force[0, 1]) for force in self.steps.forces]
 
     @property
@@ -176,7 +178,7 @@ class SceneRuntime:
         return self._posed_in(HERE)[0]
 
     def _posed_in(self, here: Bool) -> dict[int, PosedScene]:
-        """Return the PosedScene of the frames that were read last, in the selected worlds; here: shape (1,)."""
+        """Return the PosedScene for the frames that were read last, in the selected worlds; here: shape (1,)."""
         if not here[0]:
             return {}
         last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
@@ -189,7 +191,10 @@ class SceneRuntime:
         return {0: self._posed}
 
     def _begin(self, t0: float, anew: bool) -> None:
-        """Begin the step at t0 [s] in the present pose and state; a step that has begun is repeated only if `anew`."""
+        """Begin the step at t0 [s] with the present pose and state.
+
+        A step that has begun is repeated only if `anew` is set.
+        """
         for read in self._reading:
             read()
         steps, now = self.steps, (round(t0, 12), self._positions.tobytes(), self._matrices.tobytes())
@@ -204,11 +209,11 @@ class SceneRuntime:
         return self.state.emission()[0]
 
     def skin_states(self) -> list[tuple[SkinStepper, Float]]:
-        """Return the stepper of each skin, and its state, shape (1, state_size), a view."""
+        """Return the stepper of each skin and its state, a view of shape (1, state_size)."""
         return [stepper_of(self.model, self.state, number) for number in range(len(self.model.skins))]
 
     def now(self) -> tuple[PosedScene, EmittedCourse]:
-        """Return pose and emission at the present time of MuJoCo."""
+        """Return pose and emission at the present MuJoCo time."""
         posed = self.posed
         return posed, self.work.emission.now(posed, self.amplitudes, self.view.raw.time)
 
@@ -228,7 +233,7 @@ class SceneRuntime:
             outlet.apply()
 
     def _note(self) -> None:
-        """Record the start of a step; recorded steps in another pose are computed first."""
+        """Record the start of a step. If the pose has changed, the steps recorded before are computed first."""
         posed, now, step_s = self.posed, self.view.raw.time, self.spec.timestep_s
         if self._gathered is not None:
             before, begin, count = self._gathered
@@ -248,8 +253,9 @@ class SceneRuntime:
 
     @cached_property
     def feedback(self) -> str:
-        """Return why steps are not gathered: the force of the sound moves a body, or sensors may be read; else
-        empty.
+        """Return the reason why steps are not gathered, as text; empty if they may be gathered.
+
+        The reasons are that the force of the sound moves a body, and that sensors may be read.
         """
         model = self.view.model
         if serves(self.model):
@@ -266,18 +272,21 @@ class SceneRuntime:
 
     @property
     def unseen(self) -> bool:
-        """Whether no other code, in a plugin or a callback of MuJoCo, can read the state in a step."""
+        """Return whether no other code can read the state in a step: no other plugin, and no MuJoCo callback."""
         names = "control", "passive", "sensor", "act_bias", "act_gain", "act_dyn"
         return not (self._others or any(getattr(mujoco, f"get_mjcb_{name}")() for name in names))
 
     @property
     def may_gather(self) -> bool:
-        """Whether steps may be gathered now: they move no body, and no sensor or other code reads them."""
+        """Whether steps may be gathered now.
+
+        This requires that they move no body and that no sensor or other code reads them.
+        """
         steps, watched = self.steps, any(one is not None for one in self.work.observe)
         return self.unseen and not (self.feedback or watched or steps.observer is not None or steps.in_graph)
 
     def advance(self) -> None:
-        """Advance transducers and skins by the last MuJoCo step, with the pose at its beginning."""
+        """Advance transducers and skins by the last MuJoCo step, in the pose at the beginning of that step."""
         end = self.view.raw.time
         self.check_options()
         if self.gathers and self._gathered is not None:
@@ -291,8 +300,8 @@ class SceneRuntime:
     def check_options(self) -> None:
         """Raise SceneError for MuJoCo options with which the forces of the sound would be wrong or missing.
 
-        These are a time step other than that of the skins, an integrator that evaluates forces within a step (RK4), and
-        springs and dampers both disabled, because MuJoCo then omits all passive forces.
+        These options are a time step that differs from the step of the skins, and an integrator that evaluates forces
+        within a step (RK4). MuJoCo also omits all passive forces if springs and dampers are both disabled.
         """
         option = self.view.model.raw.opt
         now_s = option.timestep
@@ -313,9 +322,10 @@ class SceneRuntime:
             )
 
     def adopt(self, other: "SceneRuntime") -> None:
-        """Copy, from the runtime of a copied mjData, the data for coming steps that are not in MuJoCo's state.
+        """Copy data for the coming steps from the runtime of a copied mjData.
 
-        These are the points of the stimuli at the last control tick, and the loads computed ahead.
+        MuJoCo's state does not contain these data. They are the points of the stimuli at the last control tick, and the
+        loads computed in advance.
         """
         if other.model is self.model:
             self.adopt_pose(other)
@@ -325,13 +335,16 @@ class SceneRuntime:
             self.steps.forces = [force.copy() for force in other.steps.forces]
 
     def adopt_pose(self, other: "SceneRuntime") -> None:
-        """Use the PosedScene of another runtime of the same model: a PosedScene never changes its pose."""
+        """Use the PosedScene of another runtime of the same model.
+
+        Sharing is safe because a PosedScene is immutable.
+        """
         self._posed, self._numbers = other._posed, other._numbers
 
     def exchange(self, model: HapticModel) -> None:
-        """Continue with another model of the same arrays, bodies and skins; the state must be reset.
+        """Continue with another model that has the same arrays, bodies and skins. Reset the state after this call.
 
-        The steppers of the skins stay too, so they must be valid for the loads of the stimuli of the other model.
+        The steppers of the skins are kept, so they must also be valid for the loads of the new stimuli.
         """
         self.model, self.spec, self.work = model, model.spec, Workspace(model)
         self.__dict__.pop("steps", None)
@@ -354,20 +367,29 @@ class SceneRuntime:
         return self.model.rates[region].read(self.state.regions[region])[0]
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
-        """Return the place of a sensor, stored. Raises SceneError for a site on another body or far from the skin."""
+        """Return the place of a sensor on a skin; the result is cached.
+
+        Raises SceneError for a site on another body or far from the skin.
+        """
         place = self._places.get(sensor.name)
         if place is None:
             place = self._places[sensor.name] = sensor_place(self.model.skins[skin], *self._site(skin, sensor))
         return place
 
     def check_sensors(self) -> None:
-        """Raise, before the run, SceneError for sensors without a valid place on their skin; errors as `place`."""
+        """Check all sensors before the run.
+
+        Raises SceneError, as `place`, for a sensor without a valid place on its skin.
+        """
         for skin, bound in enumerate(self.binding.skins):
             for sensor in self.view.sensors(bound.instance):
                 check_site(self.model.skins[skin], *self._site(skin, sensor))
 
     def _site(self, skin: int, sensor: PluginSensor) -> tuple[Float, str]:
-        """Return the site of a sensor on the resting body (body frame [m], shape (3,)), and its name in messages."""
+        """Return position and name of the site of a sensor, for a body at rest.
+
+        The position is in the body frame [m], shape (3,); the name is used in messages.
+        """
         bound, part = self.binding.skins[skin], self.model.skins[skin]
         element = f"{part.spec.element}: sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)

@@ -1,7 +1,7 @@
 """Picture of the sound of a scene in a MuJoCo viewer: foci, transducers, and ARP on the skins.
 
-It is computed separately from the simulation, from poses and stimuli only, so that a viewer does not change a run.
-Fast changes are averaged as by a camera with an exposure of EXPOSURE_s.
+The picture is computed separately from the simulation, from poses and stimuli only, so a viewer does not change a run.
+Fast changes are averaged over an exposure of EXPOSURE_s, as by a camera.
 """
 
 from typing import NamedTuple
@@ -22,24 +22,30 @@ from palmfield.types import Complex, Float, Int
 
 EXPOSURE_s = 0.02
 MOMENTS = 23
-"""Number of moments in an exposure; it has no common period with usual modulations."""
+"""Number of moments in an exposure. It is chosen so that usual modulation periods do not match it."""
 EDGE_m = 0.002
 """Longest edge of the coloured triangles, a quarter of the wavelength of 40 kHz."""
 FEW = 2
-"""With more drives the mean is smooth; it is then computed at the skin nodes and interpolated linearly."""
+"""Number of different drives up to which the mean ARP is computed for each triangle.
+
+With more drives the mean is smooth, and it is computed at the skin nodes and interpolated linearly.
+"""
 ALIKE = 1e-6
-"""Drives with a smaller difference, relative to the louder one, count as one drive at two levels."""
+"""Largest relative difference between two drives that are treated as one drive at two levels."""
 FAINT = 0.02
-"""Share of the largest ARP below which skin has no colour."""
+"""Fraction of the largest ARP below which the skin is not coloured."""
 FULL = 0.25
-"""Share of the largest ARP above which the colour covers the skin completely."""
+"""Fraction of the largest ARP above which the colour is opaque."""
 FOCUS: Float = np.array([0.0, 0.75, 0.65, 1.0])
 
 
 class SeenTransducers(NamedTuple):
-    """Command of an array. places [m], axes: shape (n, 3), world; levels: rms amplitude over full drive, shape (n,)
+    """Commanded drive of an array during an exposure.
 
-    phases: [rad], when each sounds next, positive: delay, shape (n,); radius_m: radius of a transducer
+    places [m], axes: positions and directions in the world, shape (n, 3)
+    levels: rms amplitude relative to full drive, shape (n,)
+    phases: phase of each transducer when it next sounds [rad], positive for a delay, shape (n,)
+    radius_m: radius of a transducer
     """
 
     places: Float
@@ -50,9 +56,12 @@ class SeenTransducers(NamedTuple):
 
 
 class ShownSkin(NamedTuple):
-    """Mean ARP on a skin over an exposure. vertices [m], normals: shape (v, 3), world; faces: shape (f, 3)
+    """Mean ARP on a skin during an exposure.
 
-    arp: ARP by vertex [Pa], shape (v,); top: the largest since the view began [Pa]
+    vertices [m], normals: in the world, shape (v, 3)
+    faces: shape (f, 3)
+    arp: ARP at each vertex [Pa], shape (v,)
+    top: largest ARP since the view began [Pa]
     """
 
     vertices: Float
@@ -63,9 +72,12 @@ class ShownSkin(NamedTuple):
 
 
 class _Moment(NamedTuple):
-    """The content of an exposure. posed: the pose; times: [s], (k,); drives: commanded drives at these, shape (k, N)
+    """Content of one exposure.
 
-    units: different drives among them, shape (N,) each, and the mean squares of their levels
+    posed: the pose
+    times: times in the exposure [s], shape (k,)
+    drives: commanded drives at these times, shape (k, N)
+    units: the different drives, shape (N,) each, with the mean square of the level of each
     """
 
     posed: PosedScene
@@ -99,8 +111,9 @@ class SceneView:
         return SeenTransducers(places, axes, levels, np.angle(sounding), posed.arrays.parts[array].piston_radius_m)
 
     def foci(self, stimulus: int) -> Float:
-        """Return the foci of a stimulus during the exposure, in order [m], world, shape (k, m, 3); (0, m, 3) if
-        silent.
+        """Return the foci of a stimulus during the exposure, in order of time [m], world, shape (k, m, 3).
+
+        In silence the shape is (0, m, 3).
         """
         posed, times, _, _ = self._now()
         foci = self._emission.foci(posed, times)[stimulus]
@@ -108,7 +121,10 @@ class SceneView:
         return posed.array_frame.points(sounding.reshape(-1, 3)).reshape(sounding.shape)
 
     def skin(self, number: int) -> ShownSkin | None:
-        """Return ARP on one skin; None in silence, and on a scattering body without a solution from the run."""
+        """Return the ARP on one skin.
+
+        Returns None in silence, and for a scattering body whose field the run has not computed.
+        """
         posed, _, _, units = self._now()
         key = b"".join(unit.tobytes() + np.float64(weight).tobytes() for unit, weight in units)
         cached = self._shown.get(number)
@@ -134,7 +150,10 @@ class SceneView:
     def _arp(
         self, posed: PosedScene, skin: int, points: Float, normals: Float, units: list[tuple[Complex, float]]
     ) -> Float | None:
-        """Return the mean ARP [Pa] at points of a skin, array frame, shapes (n, 3); None as `skin`."""
+        """Return the mean ARP [Pa] at points of a skin, given in the array frame, shape (n, 3).
+
+        Returns None as `skin` does.
+        """
         if not units:
             return None
         kind = self.model.skins[skin].spec.config.body_sound
@@ -159,7 +178,7 @@ class SceneView:
         return np.asarray(units[0][1] * level * solution.at(own).arp, dtype=np.float64)
 
     def _now(self) -> _Moment:
-        """Compute the exposure that begins at the time of MuJoCo."""
+        """Compute the exposure that begins at the present MuJoCo time."""
         runtime = self.runtime
         for read in self._reading:
             read()
@@ -178,10 +197,10 @@ class SceneView:
 
 
 def view_of(world: World) -> SceneView | None:
-    """Return the view of the scene of an mjData, made at first drawing.
+    """Return the view of the scene of an mjData, made when the scene is first drawn.
 
-    None if there is nothing to draw, and for data without computed positions, which a viewer draws before its first
-    step.
+    Returns None if there is nothing to draw. Before its first step, a viewer draws data without computed positions; the
+    result is None for these data too.
     """
     scene = world.scene
     if scene is None or not scene.view.frames["site"][1][scene.binding.array_sites[0]].any():
@@ -193,7 +212,7 @@ def view_of(world: World) -> SceneView | None:
 
 
 def _units(drives: Complex) -> list[tuple[Complex, float]]:
-    """Return the different drives among several, (k, N), with the mean squares of their levels; empty in silence."""
+    """Return the different drives among several, (k, N), each with the mean square of its level; empty in silence."""
     units: list[tuple[Complex, float]] = []
     for drive in drives[drives.any(axis=1)]:
         for number, (unit, weight) in enumerate(units):
@@ -207,14 +226,20 @@ def _units(drives: Complex) -> list[tuple[Complex, float]]:
 
 
 def _level(drive: Complex, unit: Complex) -> float | None:
-    """Return the power of a drive relative to a unit drive, shapes (N,); None if it is not a multiple of it."""
+    """Return the power of a drive relative to a unit drive, both of shape (N,).
+
+    Returns None if the drive is not a multiple of the unit drive.
+    """
     factor = np.vdot(unit, drive) / np.vdot(unit, unit).real
     apart = np.abs(drive - factor * unit).max()
     return float(abs(factor) ** 2) if apart <= ALIKE * np.abs(drive).max() else None
 
 
 def arp_colours(shares: Float) -> Float:
-    """Return colours for ARP relative to the largest, shape (n,): red, green, blue and opacity, shape (n, 4)."""
+    """Return a colour for each ARP value: red, green, blue and opacity, shape (n, 4).
+
+    shares: ARP relative to the largest ARP, shape (n,)
+    """
     colours = np.array(colormaps["magma_r"](0.07 + 0.75 * np.clip(shares, 0.0, 1.0)))
     colours[:, 3] = np.clip((shares - FAINT) / (FULL - FAINT), 0.0, 1.0)
     return colours

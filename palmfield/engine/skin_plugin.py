@@ -15,19 +15,23 @@ if TYPE_CHECKING:
 ARP_GROUP = 2
 """Geom group: if it is on, a viewer shows the ARP on the skins."""
 LIFT_m, LABEL_m = 6e-4, 0.02
-"""Heights above the skin of the coloured triangles (a viewer draws the skin with larger ones) and of the peak label."""
+"""Heights above the skin, at which a viewer draws the coloured triangles and the label of the peak.
+
+The triangles must lie above the skin mesh of the viewer, whose triangles are larger.
+"""
 
 
 class SkinModule(Module):
-    """Push the body with the resultant of the ARP, and store the motion of the skin layer in the plugin state.
+    """Pushes the body with the resultant of the ARP, and stores the motion of the skin layer in the plugin state.
 
-    The sensor, on a site of the body, reads `palmfield.simulation.sensors.CHANNELS`: the mean force over the present
-    step, and at the skin point nearest to the site the displacement and velocity along the outward normal and the ARP.
-    As for all sensors of MuJoCo, the reading is that at the beginning of the step. After mj_step it is one timestep
-    older than data.time, until mj_forward.
+    The sensor is attached to a site of the body and reads `palmfield.simulation.sensors.CHANNELS`. These channels are
+    the mean force over the present step, and three quantities at the skin point nearest to the site: the ARP, and the
+    displacement and velocity along the outward normal. As for all MuJoCo sensors, the reading is that at the beginning
+    of the step. After mj_step it is one time step older than data.time, until mj_forward is called.
 
-    number: number of this skin in the scene. leads: whether it steps the scene (the first skin).
-    scene: `palmfield.engine.scene_runtime.SceneRuntime`, shared by all skins.
+    number: number of this skin in the scene
+    leads: whether this skin steps the scene; the first skin does
+    scene: the `palmfield.engine.scene_runtime.SceneRuntime` that all skins share
     """
 
     name: ClassVar[str] = SkinConfig.plugin
@@ -85,7 +89,10 @@ class SkinModule(Module):
             self.scene.sense(self.number, self._sensors)
 
     def advance(self) -> None:
-        """Advance the scene by the last MuJoCo step; a terminal shows the waiting time for skins in the first step."""
+        """Advance the scene by the last MuJoCo step.
+
+        In the first step, a terminal shows the waiting time for the skins.
+        """
         if not (self._began or self.world.quiet):
             from palmfield.terminal import bars
 
@@ -113,10 +120,13 @@ class SkinModule(Module):
         drawing.triangles(skin.vertices + LIFT_m * skin.normals, skin.faces[order], arp_colours(shares[order]))
 
     def hand_over(self) -> None:
-        """Stop computing forces, sensors and state: the code that steps several worlds together does it."""
+        """Stop computing forces, sensors and state.
+
+        From then on, the code that steps several worlds together does this.
+        """
         self.only_senses, self._sensors = True, []
 
     def copy_from(self, other: "SkinModule") -> None:
-        """Continue from the state of another module."""
+        """Take over the data of the same module in another mjData."""
         if self.leads:
             self.scene.adopt(other.scene)

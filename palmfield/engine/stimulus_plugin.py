@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 FOCI_GROUP = 1
 """Site group: if it is on, a viewer shows the foci."""
 FOCUS_m, TRAIL_m = 2e-3, 8e-4
-"""Radius of a focus, and of its next places."""
+"""Radius of a focus, and radius of the balls at its next positions."""
 
 
 class StimulusModule(Module):
@@ -21,7 +21,7 @@ class StimulusModule(Module):
     config: ClassVar[type[Config]] = StimulusConfig
 
     def draw(self, drawing: "Drawing") -> None:
-        """Draw a ball at each focus, and small balls at its next places."""
+        """Draw a ball at each focus, and small balls at the next positions of the focus."""
         from palmfield.engine.scene_view import FOCUS, view_of
 
         view = view_of(self.world) if drawing.shows("site", FOCI_GROUP) else None

@@ -13,10 +13,10 @@ from palmfield.types import Float
 
 
 class WorldPoses:
-    """Reads the poses of some worlds and stores the last ones.
+    """Reads the poses of some worlds, and stores the last poses.
 
-    In most steps bodies move so little about the reference pose that reduced models count them as still. This is
-    checked for all worlds together; only worlds with larger movements are checked one by one.
+    In most steps the bodies move so little from the reference pose that reduced models stay valid. This is checked for
+    all worlds together. Only worlds with larger movements are checked one by one.
 
     positions, matrices: arrays in which the runtimes store the world frames, shapes (worlds, m, 3), (worlds, m, 9)
     """
@@ -51,7 +51,7 @@ class WorldPoses:
             many.gather(field, offsets, result[own])
 
     def now(self, some: NDArray[np.bool_]) -> dict[int, PosedScene]:
-        """Return the pose of the selected worlds, from the frames that `read` has read. some: shape (worlds,).
+        """Return the poses of the selected worlds, for the frames that `read` has read. some: shape (worlds,).
 
         Raises SceneError, with the number of the world, if a body reaches into an array.
         """

@@ -1,7 +1,7 @@
-"""Several mjData of one model, stepped together: bodies one by one, sound and skins in one operation.
+"""Several mjData of one model, stepped together. Bodies are stepped one by one, sound and skins in one operation.
 
-A step is mj_step in two halves. After mj_step1 all poses are known. The forces that follow from them are added to the
-passive ones before mj_step2 integrates, so that they have no delay, as in a plain mj_step.
+A step is an mj_step in two halves. After mj_step1 all poses are known. The forces of the sound at these poses are
+added to the passive forces before mj_step2 integrates. So the forces have no delay, as in a plain mj_step.
 """
 
 import copy
@@ -33,11 +33,12 @@ from palmfield.types import Float
 class SceneWorlds:
     """Several worlds of one scene.
 
-    data: one mjData per world. models: models of the same bodies, with the stimuli of each world. state: state of all
-    worlds.
-    poses: poses by number of a mocap body, its pose in each world and step, position [m] and quaternion (w, x, y, z),
-        shape (worlds, steps, 7); after the last of these steps the body stays in its last pose.
-    forces: mean force of the sound over the present step [N], world axes, shape (worlds, bodies, 3).
+    data: one mjData per world
+    models: models of the same bodies, with the stimuli of each world
+    state: state of all worlds
+    poses: number of a mocap body -> its pose in each world and step, position [m] and quaternion (w, x, y, z),
+        shape (worlds, steps, 7); after the last of these steps the body stays in its last pose
+    forces: mean force of the sound over the present step [N], world axes, shape (worlds, bodies, 3)
     """
 
     def __init__(
@@ -48,8 +49,10 @@ class SceneWorlds:
         poses: Mapping[int, Float],
         state: HapticState | None = None,
     ):
-        """template: data of the scene with its plugins; data: one for each world, with plugins. If all plugins are
-        palmfield's, make the data from `plain_model`, without Python in a step"""
+        """template: data of the scene with its plugins
+        data: one mjData for each world, with plugins. If all plugins belong to palmfield, make these data from
+            `plain_model`; their steps then need no Python
+        """
         self.template, self.data, self.models, self.poses = template, tuple(data), tuple(models), dict(poses)
         self.mujoco_model: mujoco.MjModel = data[0].model
         count = len(self.data)
@@ -89,7 +92,10 @@ class SceneWorlds:
     # -- stepping ------------------------------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Run one MuJoCo step in all worlds. Raises an error of a plugin or the step, with the number of the world."""
+        """Run one MuJoCo step in all worlds.
+
+        Raises the error of a plugin or of the step, with the number of the world.
+        """
         self.runtimes[0].check_options()
         t0 = self._common_time()
         with explaining():
@@ -132,7 +138,7 @@ class SceneWorlds:
             mujoco.mj_forwardSkip(self.mujoco_model, one, int(mujoco.mjtStage.mjSTAGE_VEL), 0)
 
     def place(self) -> None:
-        """Set hands to the pose of their motions at the present time."""
+        """Set all hands to the pose of their motions at the present time."""
         time_s = self.data[0].time
         for module in self._scripts:
             self._put(module.due(time_s, at_once=True))
@@ -168,7 +174,7 @@ class SceneWorlds:
                     raise_errors(self.data[number])
 
     def _put(self, writes: Sequence[Write]) -> None:
-        """Write numbers into all worlds: the same for all, or one set per world."""
+        """Write numbers into all worlds: the same set for all worlds, or one set per world."""
         for field, offsets, values in writes:
             each = np.asarray(values)
             for own, many in self._parts:
@@ -187,14 +193,14 @@ class SceneWorlds:
         return float(times[0])
 
     def _lead(self, t0: float) -> None:
-        """Set the mocap bodies in `poses` to their pose for the step that begins at t0 [s]."""
+        """Set the mocap bodies named in `poses` to their pose for the step that begins at t0 [s]."""
         for mocap, poses in self.poses.items():
             row = min(max(round(t0 / self.mujoco_model.opt.timestep), 0), poses.shape[1] - 1)
             place, turn = mocap_offsets(mocap)
             self._put([("mocap_pos", place, poses[:, row, :3]), ("mocap_quat", turn, poses[:, row, 3:])])
 
     def settle(self) -> None:
-        """Copy newer numbers from a device into the state."""
+        """Copy the state from the device, if the device has a newer one."""
         self.steps.fetch()
 
     def _begin(self, t0: float, moves: bool) -> None:
@@ -261,8 +267,10 @@ class SceneWorlds:
 
 
 def plain_model(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy without plugins, whose data are stepped without Python, or the model itself if it has plugins of
-    other packages. Sensors keep their places."""
+    """Return a copy of a model without plugins, whose steps need no Python. Sensors keep their places.
+
+    A model with plugins of other packages is returned unchanged.
+    """
     view = ModelView(model._address)
     if any(plugin not in {config.plugin for config in CONFIGS} for _, plugin, _ in view.instances()):
         return model

@@ -41,7 +41,7 @@ def add_readings(kind: str, readings: Path, board: Path, layout: str | None, cir
 def imported(file: Path, board: Path) -> list[str]:
     """Convert a vendor file of an OpenMPD board to a calibration; return a description.
 
-    Raises SceneError for an invalid file and for an existing calibration, OutputError as `add_readings`.
+    Raises SceneError for an invalid file and for an existing calibration, and OutputError as `add_readings`.
     """
     if board.exists():
         raise SceneError(f"{board} already exists; give another file")
@@ -50,7 +50,10 @@ def imported(file: Path, board: Path) -> list[str]:
 
 
 def described(board: Path, png: Path | None) -> list[str]:
-    """Describe a calibration file line by line, with missing parts; draw it if `png` is not None."""
+    """Describe a calibration file line by line, and name the missing parts.
+
+    If `png` is not None, also draw the calibration.
+    """
     calibration = read_calibration(board)
     array = layout_named(calibration.layout)
     lines = [f"calibration of {calibration.layout}, {len(array)} transducers"]

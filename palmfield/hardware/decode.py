@@ -1,4 +1,4 @@
-"""Decode foci from the bytes of a file: run the virtual twin of the board and fit foci to its emission."""
+"""Decode foci from the bytes of a file: run the virtual twin of the board, and fit foci to the sound that it emits."""
 
 import csv
 import math
@@ -23,15 +23,18 @@ from palmfield.types import Float
 
 FREQUENCY_HZ = 40e3
 GOOD_RAD = 1.0
-"""Largest mean phase error of a sound that has a focus [rad]."""
+"""Largest phase error [rad] at which a sound counts as a focus."""
 
 
 @dataclass(frozen=True)
 class DecodedFocus:
-    """One emission. time_s: its start; focus: focus in the array frame [m], NaN if there is none
+    """One decoded emission.
 
-    misfit_rad: rms phase difference from that focus; sounding: number of transducers that are on; level: their mean
-    amplitude relative to full drive
+    time_s: its start
+    focus: focus in the array frame [m], NaN if there is none
+    misfit_rad: rms phase difference between the emission and that focus
+    sounding: number of active transducers
+    level: mean amplitude of the active transducers, relative to full drive
     """
 
     time_s: float
@@ -43,8 +46,12 @@ class DecodedFocus:
 
 @dataclass(frozen=True)
 class Decoded:
-    """Decoded bytes. head: head of the log; foci: foci by time; flags: errors of the virtual board; frames: number, in
-    words
+    """Content of the decoded bytes.
+
+    head: head of the log
+    foci: foci in order of time
+    flags: errors of the virtual board
+    frames: number of frames, in words
     """
 
     head: LogHead
@@ -56,11 +63,12 @@ class Decoded:
 def pieces_of(
     path: str | Path, board: str | None, array: str | None = None, calibration: Path | None = None
 ) -> tuple[LogHead, list[Piece]]:
-    """Read a log of `--log`, or a file of raw bytes, which needs the name of a board.
+    """Read a log written by `--log`, or a file of raw bytes, for which the name of the board is required.
 
-    array: name of the layout or CSV file of transducers, None: first layout of the board; calibration: file of its
-        transducers
-    Raises SceneError for a file that cannot be read, and for raw bytes without a board, DeviceError for an unknown one.
+    array: name of a layout, or CSV file of transducers; None: first layout of the board
+    calibration: calibration file of the transducers
+    Raises SceneError for a file that cannot be read and for raw bytes without a board, and DeviceError for an unknown
+    board.
     """
     if is_log(path):
         head, pieces = read_log(path)
@@ -91,9 +99,9 @@ def _measured(head: LogHead, calibration: Path | None) -> LogHead:
 def decode(
     path: str | Path, board: str | None = None, array: str | None = None, calibration: Path | None = None
 ) -> Decoded:
-    """Decode the foci of the bytes of a file; arguments and errors as `pieces_of`.
+    """Decode the foci of the bytes in a file. Arguments and errors are those of `pieces_of`.
 
-    Phase errors of transducers from the log or from a calibration are included.
+    Phase errors of the transducers are included, if the log or a calibration contains them.
     """
     head, pieces = pieces_of(path, board, array, calibration)
     twin = head.playable.wired_twin()
@@ -126,7 +134,7 @@ def decode(
 
 
 def as_table(decoded: Decoded, most: int | None = None) -> str:
-    """Return rows of time, focus, misfit and level; most: largest number of rows."""
+    """Return rows of time, focus, misfit and level for a table; most: largest number of rows."""
     shown = decoded.foci if most is None else decoded.foci[:most]
     lines = [f"board {decoded.head.board}, layout {decoded.head.array}: {decoded.frames}"]
     lines.append("  time [ms]   x [mm]   y [mm]   z [mm]  misfit [deg]  on   level")
@@ -144,7 +152,7 @@ def as_table(decoded: Decoded, most: int | None = None) -> str:
 
 
 def write_csv(decoded: Decoded, path: Path) -> None:
-    """Write all rows; names of columns contain units. Raises OutputError if that fails."""
+    """Write all rows. The column names contain the units. Raises OutputError if writing fails."""
     with writing(path), whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["time_s", "x_m", "y_m", "z_m", "misfit_rad", "sounding", "level"])
@@ -153,9 +161,9 @@ def write_csv(decoded: Decoded, path: Path) -> None:
 
 
 def draw_foci(times_s: Sequence[float], foci: Float, path: Path) -> None:
-    """Draw foci [m], shape (n, 3), NaN if there is none, by their times [s], into a PNG.
+    """Draw foci [m], shape (n, 3), over their times [s], into a PNG. NaN marks a time without focus.
 
-    Raises OutputError if it cannot be written.
+    Raises OutputError if the file cannot be written.
     """
     from matplotlib.figure import Figure
 

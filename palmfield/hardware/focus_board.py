@@ -26,11 +26,12 @@ from palmfield.types import Air, Array, Complex, Estimate, Float
 class FocusSound:
     """Parameters of a focus that is played without a scene.
 
-    level: amplitude of all transducers, 0..1; am_frequency_Hz: frequency of a sine between silence and that level, 0
-    for none
-    p0_Pa_m: as in layouts, None: value of the layout; air: air of the sound field
-    layout: layout of the array, or a CSV file of its transducers, None: first layout of the board
-    calibration: file of its transducers, as in key `calibration` of palmfield.array
+    level: amplitude of all transducers, 0 to 1
+    am_frequency_Hz: frequency of a sine modulation between silence and that level; 0 for no modulation
+    p0_Pa_m: p0 of the transducers [Pa m], as in layouts; None: value of the layout
+    air: air of the sound field
+    layout: layout of the array, or a CSV file of its transducers; None: first layout of the board
+    calibration: calibration file of the transducers, as in key `calibration` of palmfield.array
     """
 
     level: float = 1.0
@@ -43,9 +44,12 @@ class FocusSound:
 
 @dataclass(frozen=True)
 class FocusBoard:
-    """A board, its array and its sound. p0: p0 of the layout or calibration; notes: messages for the user
+    """A board with its array and its sound.
 
-    sound: the sound without the modulation that the board makes itself; layout: layout of the array
+    p0: p0 of the layout or the calibration
+    notes: messages for the user
+    sound: the sound, without a modulation that the board itself makes
+    layout: layout of the array
     """
 
     board: Board
@@ -57,18 +61,24 @@ class FocusBoard:
     notes: tuple[str, ...]
 
     def unit(self, place: Float) -> Complex:
-        """Return amplitudes of all transducers for a focus [m] at full level. Raises SceneError if it is impossible."""
+        """Return the amplitudes of all transducers for a focus [m] at full level.
+
+        Raises SceneError for an impossible focus.
+        """
         unit = focus(self.array, self.sound.air, place)
         return compensate(self.array, unit) if self.board.compensate else unit
 
     def frame(self, place: Float, unit: Complex, level: float) -> bytes:
-        """Return one frame of a focus [m], shape (3,), with a given `unit`."""
+        """Return one frame for a focus [m], shape (3,), from the result `unit` of `unit` for this focus."""
         board = self.board
         return board.encode_focus(place, level) if board.takes == "focus" else board.encode(level * unit)
 
     @property
     def band(self) -> tuple[float, float]:
-        """Return factors of the squared pressure at the ends of the range of p0; a p0 set by the user has no range."""
+        """Return the factors of the squared pressure at both ends of the range of p0.
+
+        A p0 set by the user has no range.
+        """
         if self.sound.p0_Pa_m is not None:
             return 1.0, 1.0
         return (self.p0.low / self.p0.value) ** 2, (self.p0.high / self.p0.value) ** 2
@@ -87,7 +97,10 @@ class FocusBoard:
 
 
 def array_named(name: str, p0_Pa_m: float | None = None) -> tuple[Array, Estimate]:
-    """Return the array of a layout, or of a CSV file of transducers, and its p0. Raises SceneError for other names."""
+    """Return the array of a layout, or of a CSV file of transducers, and its p0.
+
+    Raises SceneError for an unknown name.
+    """
     if not name.lower().endswith(".csv"):
         return layout(name, p0_Pa_m), LAYOUTS[name].p0
     return read_transducers(name).array(ANY_P0.value if p0_Pa_m is None else p0_Pa_m), ANY_P0
@@ -97,8 +110,8 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
     """Return a board with its array.
 
     keys: keys of the board, as in palmfield.driver
-    Raises SceneError for a board with several arrays and an invalid level, DeviceError for an unknown board, a layout
-    that it does not drive, and a level or a modulation that it cannot play.
+    Raises SceneError for a board with several arrays, and for an invalid level. Raises DeviceError for an unknown
+    board, a layout that it does not drive, and a level or a modulation that it cannot play.
     """
     chosen = playable_board(board)
     name = chosen.layouts[0] if sound.layout is None else sound.layout
@@ -142,5 +155,5 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
 
 
 def am_share(time_s: float, frequency_Hz: float) -> float:
-    """Return the fraction of the level at a time [s]: a sine between 0 and 1; 1 without modulation."""
+    """Return the modulation factor of the level at a time [s]: a sine between 0 and 1, or 1 without modulation."""
     return 0.5 * (1.0 + float(np.sin(2.0 * np.pi * frequency_Hz * time_s))) if frequency_Hz > 0.0 else 1.0

@@ -27,16 +27,18 @@ from palmfield.types import Complex, Float
 LOG = logging.getLogger(__name__)
 LOOK_S = 0.05
 AHEAD_S = 3e-3
-"""Time by which a frame of a modulated focus is made before it is due [s]."""
+"""Time before its due time at which a frame of a modulated focus is made [s]."""
 MOST_STEPS = 8
 """Largest number of steps of a ramp."""
 
 
 @dataclass(frozen=True)
 class LiveInput:
-    """Source of foci. port: 0 for any free port; on_listening: called with the address
+    """Source of foci.
 
-    offset_m: position of the focus in the frame at `position_m`, for lines without focus_m
+    port: port number; 0 for any free port
+    on_listening: function that is called with the address
+    offset_m: position of the focus in the frame at `position_m`, for input lines without focus_m
     """
 
     host: str = "127.0.0.1"
@@ -55,13 +57,13 @@ def play_live(
     sound: FocusSound | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> Performance:
-    """Play the newest received focus, until Ctrl-C or for some time; return a report, in words.
+    """Play the newest received focus until Ctrl-C or for some time; return a report in words.
 
-    board, sound, keys: as in `palmfield.hardware.play.play_focus`; levels of lines multiply that of `sound`
-    A focus sounds until a newer one arrives. It fades out STALE_S after its arrival, with the ramp of the driver. A
-    focus that cannot be played is counted, reported and skipped; the focus before continues.
-    Raises SceneError and DeviceError as `play_focus`. Raises DeviceError also for an address at which it cannot listen,
-    and if some focus may be louder at a head than key head_limit_dB allows.
+    board, sound, keys: as in `palmfield.hardware.play.play_focus`; the level in an input line multiplies the level of
+    `sound` A focus sounds until a newer one arrives. It fades out STALE_S after its arrival, with the ramp of the
+    driver. A focus that cannot be played is counted, reported and skipped. The previous focus then continues. Raises
+    SceneError and DeviceError as `play_focus`. Raises DeviceError also for an address at which it cannot listen, and if
+    a focus may be louder at the head than key head_limit_dB allows.
     """
     target.check()
     if target.port is None:
@@ -106,7 +108,7 @@ def play_live(
 
 
 class _Live:
-    """Makes frames of the newest focus. came_s: arrival of each focus [s], at its first frame"""
+    """Makes the frames of the newest focus. came_s: arrival time of each focus [s], stored at its first frame"""
 
     def __init__(self, made: FocusBoard, limits: SoundLimits, listener: FocusListener, player: Player) -> None:
         self.made, self.listener, self.player = made, listener, player
@@ -116,7 +118,7 @@ class _Live:
         self._steps = max(1, min(MOST_STEPS, math.floor(steps)))
 
     def follow(self, ends_s: float) -> None:
-        """Play until a time of time.monotonic() [s]."""
+        """Play until `ends_s`, a time of time.monotonic() [s]."""
         board, am_Hz = self.made.board, self.made.sound.am_frequency_Hz
         period_s = 1.0 / board.max_frame_rate_Hz
         began_s = due_s = time.monotonic() + AHEAD_S + board.frame_time_s
@@ -151,7 +153,10 @@ class _Live:
                 muted = False
 
     def _unit(self, focus: LiveFocus) -> Complex | None:
-        """Return amplitudes for a focus at full level, shape (N,); None, with a report, if it cannot be played."""
+        """Return the amplitudes for a focus at full level, shape (N,).
+
+        If it cannot be played, report it and return None.
+        """
         far = too_far((float(focus.place[0]), float(focus.place[1]), float(focus.place[2])))
         if far is not None:
             place = ", ".join(f"{1e3 * x:.4g}" for x in focus.place)
@@ -177,13 +182,16 @@ class _Live:
 
 
 def _most_at_head(made: FocusBoard) -> Exposure:
-    """Return the sound at the loudest point of a head with the focus there: live foci are not known in advance."""
+    """Return the sound at the loudest point of a head, if the focus were at this point.
+
+    Live foci are not known in advance.
+    """
     array, air = made.array, made.sound.air
     wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
     loud = replace(array, gain=None if array.gain is None else np.abs(array.gain).astype(complex))
 
     def in_phase(points: Float) -> Complex:
-        """Return upper limits of the pressure at some points: all transducers in phase."""
+        """Return upper limits of the pressure at some points: the pressure if all transducers arrive in phase."""
         result = np.zeros(len(points), np.complex128)
         for number, point in enumerate(points):
             distances = np.linalg.norm(point - array.positions, axis=1)

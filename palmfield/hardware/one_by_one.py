@@ -1,4 +1,4 @@
-"""Sound transducers one after the other, for the microphone of a calibration (docs/calibration.md)."""
+"""Sound the transducers one after the other, for the microphone of a calibration (docs/calibration.md)."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -28,13 +28,14 @@ def sound_one_by_one(
     pause_s: float = 0.2,
     progress: bool = False,
 ) -> Performance:
-    """Sound single transducers of a board at full drive with phase 0, as wired; write their times.
+    """Sound single transducers of a board at full drive and phase 0, as wired, and write their times to a table.
 
-    times: CSV file of `element`, `from_s` and `to_s`, times since the first frame, and `layout_version`
-    elements: numbers in the order of the layout, each once; None: all of one unit
+    times: path of the CSV table with columns `element`, `from_s`, `to_s` (times since the first frame) and
+        `layout_version`
+    elements: numbers in the order of the layout, each once; None: all transducers of one unit
     dwell_s, pause_s: duration of each sound, and of the silence before it [s]
-    Raises DeviceError for a board that takes no amplitudes or is lost, SceneError for an unknown transducer and for
-    times that are not above 0, OutputError if the table cannot be written.
+    Raises DeviceError for a board without amplitude control, and for a lost board. Raises SceneError for an unknown
+    transducer, and for times that are not above 0. Raises OutputError if the table cannot be written.
     """
     chosen = playable_board(board)
     if chosen.takes != "amplitudes":
@@ -78,6 +79,6 @@ def _frames(board: Board, numbers: Sequence[int], dwell_s: float, pause_s: float
 
 
 def _hold(data: bytes, begin_s: float, length_s: float, *, sounds: bool) -> Iterator[TimedFrame]:
-    """Repeat one frame, so that a lost byte has no lasting effect."""
+    """Repeat one frame for a time, so that a lost byte has no lasting effect."""
     for time_s in np.arange(begin_s, begin_s + length_s - 1e-9, REFRESH_S).tolist():
         yield TimedFrame(time_s, data, sounds)

@@ -38,8 +38,11 @@ LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Target:
-    """Target of bytes. port: port of a board, or None; record: file for bytes without a port; log: file of sent
-    bytes
+    """Destination of the bytes.
+
+    port: port of a board, or None
+    record: file for bytes without a port
+    log: file of the sent bytes
     """
 
     port: str | None = None
@@ -49,7 +52,7 @@ class Target:
     def check(self) -> None:
         """Check ports and files before frames are made, because making frames may take long.
 
-        Raises DeviceError for a missing device, OutputError for a missing folder.
+        Raises DeviceError for a missing device, and OutputError for a missing folder.
         """
         if self.port is not None:
             check_port(self.port)
@@ -60,7 +63,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Performance:
-    """Report of a play. text: text in words; warning: warning for users, empty if none"""
+    """Report of a play. text: report in words; warning: warning for users, empty if there is none"""
 
     text: str
     warning: str = ""
@@ -83,11 +86,12 @@ def play_focus(
     keys: Mapping[str, object] | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Emit one focus (array frame [m]) for `duration_s`; return a report, in words.
+    """Emit one focus (array frame [m]) for `duration_s`, and return a report in words.
 
-    keys: keys of the board, as in palmfield.driver; progress: whether to show a progress bar on the standard error of a
-    terminal Raises SceneError for a focus behind the array or more than metres away, DeviceError for an unknown or
-    lost board, and for a level or a modulation that it cannot play.
+    keys: keys of the board, as in palmfield.driver
+    progress: whether to show a progress bar on the standard error of a terminal
+    Raises SceneError for a focus behind the array or more than metres away. Raises DeviceError for an unknown or lost
+    board, and for a level or a modulation that the board cannot play.
     """
     target.check()
     if (far := too_far(point)) is not None:
@@ -143,10 +147,11 @@ def play_scene(
     keys: Mapping[str, object] | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Play the stimuli of a scene, with poses of hands and arrays at the emission of each frame.
+    """Play the stimuli of a scene. Each frame uses the poses of hands and arrays at the time of its emission.
 
-    board: board instead of that of the scene, and keys: as in `palmfield.load`
-    Raises SceneError for an invalid scene, DeviceError if the board cannot play it or is lost.
+    board: name of a board that replaces the board of the scene
+    keys: as in `palmfield.load`
+    Raises SceneError for an invalid scene. Raises DeviceError if the board cannot play the scene or is lost.
     """
     target.check()
     if board is not None:
@@ -171,7 +176,7 @@ def play_scene(
 
 
 def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
-    """Yield the bytes of each frame of a scene, with poses at its emission and the ramp of the driver."""
+    """Yield the bytes of each frame of a scene, with the poses at its emission and with the ramp of the driver."""
     model = scene.runtime.model
     limits = SoundLimits.of(model.spec.driver)
     ramp, step_s = limits.ramp_times(model.board, duration_s), model.spec.timestep_s if scene.moves else None
@@ -192,7 +197,7 @@ def send(
     limits: SoundLimits,
     progress: bool,
 ) -> Performance:
-    """Send frames, and wait until `duration_s` is over; return a report, in a sentence."""
+    """Send frames, and wait until `duration_s` is over. Return a report, in one sentence."""
     assert board.line is not None
     if target.record is None and target.port is None:
         raise DeviceError("a port or a file is needed; give the port of a board, or a file for the bytes")
@@ -226,10 +231,7 @@ def play_on_port(
     head: LogHead | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Play frames by a separate process, `palmfield.drive.player`; return a report, in a sentence.
-
-    head: head of the log. Raises DeviceError if the port cannot be opened or is lost.
-    """
+    """Play frames by the separate process `palmfield.drive.player`; return a report, in one sentence."""
     if log is not None:
         assert head is not None
         FrameLog(log, head).close()
@@ -257,7 +259,7 @@ def play_on_port(
 
 
 def played_in_words(report: PlayReport, board: Board, port: str) -> str:
-    """Report the frames of a player after the board is off."""
+    """Return the report of the frames of a player, after the board is off."""
     return (
         f"played {report.frames} frames on {port} (skipped {report.skipped}, largest delay "
         f"{1e3 * report.late_s:.0f} ms, limit {board.frame_rate} frames/s; player at {report.priority}); the board "
@@ -266,7 +268,10 @@ def played_in_words(report: PlayReport, board: Board, port: str) -> str:
 
 
 def check_log(player: Player, log: Path | None, done: str = "") -> None:
-    """Raise OutputError if the log of a closed player ends early, e.g. on a full disk. done: other results"""
+    """Raise OutputError if the log of a closed player is incomplete, e.g. because the disk is full.
+
+    done: other results
+    """
     if player.log_error:
         raise OutputError(
             f"{done}the log {log} ends early: {player.log_error}; its content can be decoded, and the play was not "

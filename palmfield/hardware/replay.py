@@ -1,4 +1,4 @@
-"""Send the bytes of a log or record to a port again, within their original limits."""
+"""Send the bytes of a log or record to a port again, with the limits of the original play."""
 
 import logging
 from collections.abc import Mapping
@@ -33,11 +33,11 @@ def replay(
     keys: Mapping[str, str] | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Send the bytes of a file to a port at their times, and silence the board; return a report, in a sentence.
+    """Send the bytes of a file to a port at their times, then silence the board. Return a report, in one sentence.
 
-    keys: limits of palmfield.driver on level and duration, which replace those of the log
-    Raises DeviceError before anything is sent if the limits on duration, duty or level at the head are exceeded, and if
-    the port cannot be opened or is lost. Other errors as in `pieces_of`.
+    keys: limits on level and duration (keys of palmfield.driver), which replace the limits in the log
+    Raises DeviceError, before anything is sent, if a limit on duration, duty or level at the head is exceeded. Raises
+    DeviceError also if the port cannot be opened or is lost. Other errors are those of `pieces_of`.
     """
     head, pieces = pieces_of(path, board)
     made = head.playable
@@ -50,7 +50,10 @@ def replay(
 
 
 def _driver(head: LogHead, keys: Mapping[str, str]) -> DriverConfig:
-    """Return the limits of the log, with replacements. Raises SceneError for other keys and for invalid values."""
+    """Return the limits of the log, with the replacements in `keys`.
+
+    Raises SceneError for other keys and invalid values.
+    """
     replaced = {name.removeprefix("driver."): value for name, value in keys.items()}
     for name in replaced:
         if name not in SAFETY_KEYS:
@@ -67,11 +70,11 @@ def _text(value: object) -> str:
 
 
 def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]], driver: DriverConfig) -> list[str]:
-    """Return warnings for users, in words, before frames are sent.
+    """Check limits before frames are sent; return warnings for users, in words.
 
-    Levels at the head are computed from transducers and phases in the log with equal amplitudes, at the upper end of
-    the range of p0 if the log has it. Raises DeviceError if limits are exceeded, and for a limit at the head if the log
-    has no positions of arrays.
+    The level at the head is computed from the transducers and phases in the log, with equal amplitudes. If the log has
+    the range of p0, its upper end is used. Raises DeviceError if a limit is exceeded. Raises DeviceError also if a
+    limit at the head is set and the log has no array positions.
     """
     emitted = _emitted(board, frames)
     if not emitted:
@@ -104,7 +107,7 @@ def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]],
 
 
 def _emitted(board: Board, frames: list[tuple[float, bytes]]) -> list[Emitted]:
-    """Return the emission of a board for frames, computed by its virtual twin."""
+    """Return the emission of a board for frames, computed by the virtual twin of the board."""
     assert board.line is not None
     twin = board.wired_twin()
     emitted: list[Emitted] = []
@@ -115,9 +118,9 @@ def _emitted(board: Board, frames: list[tuple[float, bytes]]) -> list[Emitted]:
 
 
 def _frames(board: Board, pieces: list[Piece]) -> tuple[list[tuple[float, bytes]], int]:
-    """Convert pieces to frames with the times of their emission, and count incomplete ones.
+    """Convert pieces of the byte stream to frames with their emission times, and count incomplete frames.
 
-    A piece may end in half a frame; the next piece then begins with its start. The player itself sends the start and
+    A piece may end within a frame; the next piece then begins with its start. The player itself sends the start and
     stop sequences.
     """
     assert board.line is not None

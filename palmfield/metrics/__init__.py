@@ -1,4 +1,4 @@
-"""Metrics of signals, maps and snapshots in SI units; each function has an argument for each choice it makes.
+"""Metrics of signals, maps and snapshots in SI units; each choice in a definition is an argument.
 
 from palmfield.metrics import overshoot, settling_time, steady_value
 steady = steady_value(times, trace, (0.18, 0.2))

@@ -10,9 +10,10 @@ Mask = NDArray[np.bool_]
 
 
 def trace(times_s: ArrayLike, values: ArrayLike, least: int = 2, *, single: bool = False) -> tuple[Float, Float]:
-    """Return rising times [s], shape (t,), and values, shape (t, ...), or (t,) if `single`, as float64 arrays.
+    """Return rising times [s], shape (t,), and values, shape (t, ...), as float64 arrays.
 
-    Raises MeasurementError for fewer than `least` samples, other shapes, times that do not rise, NaN and infinity.
+    least: smallest number of samples; single: whether the values must have shape (t,)
+    Raises MeasurementError for fewer samples, other shapes, times that do not rise, NaN and infinity.
     """
     times, signal = np.asarray(times_s, dtype=float), np.asarray(values, dtype=float)
     if times.ndim != 1 or len(times) < least:
@@ -62,7 +63,10 @@ def mask(inside: ArrayLike, values: Float) -> Mask:
 
 
 def cell_areas(x_m: Float, y_m: Float) -> Float:
-    """Return the area of the cell of each grid point [m^2], shape (m, n); cells end half way to the next points."""
+    """Return the area of the cell of each grid point [m^2], shape (m, n).
+
+    A cell extends half way to the next points.
+    """
     across = [np.diff(np.concatenate([p[:1], 0.5 * (p[1:] + p[:-1]), p[-1:]])) for p in (x_m, y_m)]
     return np.asarray(np.outer(*across))
 

@@ -59,10 +59,9 @@ def focal_energy_ratio(
     *,
     over: Literal["outside", "total"] = "outside",
 ) -> float:
-    """Return the energy inside a strip over the energy outside it, or over the total; points are weighted by area.
+    """Return the energy inside a strip, divided by the energy outside it or by the total.
 
-    density, x_m, y_m, inside: as for `average_residual_energy`; over: "outside" or "total"
-    Raises MeasurementError if the divisor is zero.
+    Points are weighted by area.
     """
     values, x, y = grid(density, x_m, y_m)
     weighted = cell_areas(x, y) * values

@@ -1,4 +1,4 @@
-"""Metrics of a map over a surface: diameters, areas above a level, radial profiles, depth of halved pressure."""
+"""Metrics of a map over a surface: diameters, areas above a level, radial profiles, and the halved-pressure depth."""
 
 import itertools
 from typing import Literal
@@ -89,7 +89,7 @@ def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level
 
     depth_m: rising distances from the array [m], shape (n,); values: shape (n,), linear between the distances, for
         example the pressure at a focus placed at each distance
-    The halved-pressure depth has level 0.5. Its reference is an argument, because papers do not always print theirs.
+    With level 0.5 this is the halved-pressure depth. The reference is an argument, because not all papers state it.
     Raises MeasurementError if the reference is outside the curve, or the curve stays above the level.
     """
     depth, curve = np.asarray(depth_m, dtype=float), np.asarray(values, dtype=float)
@@ -118,12 +118,15 @@ def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level
 
 
 def half_width(at_m: ArrayLike, values: ArrayLike, level: float = 0.5, *, of: Lobe = "outermost") -> float:
-    """Return the distance from the maximum of a curve to its fall below `level` times the maximum, mean of both sides
-    [m]. For a curve with one maximum and level 0.5 it is half the full width at half maximum.
+    """Return the mean distance from the maximum of a curve to its fall below `level` times the maximum [m].
 
-    at_m: rising positions along a line [m], shape (n,); values: 0 or above, shape (n,), linear between positions
-    of: "outermost", up to the last position on each side that reaches the level: the envelope of interference fringes;
-        "central", up to the first position below the level: the central fringe
+    The mean is over both sides. For a curve with one maximum and level 0.5, the result is half of the full width at
+    half maximum.
+
+    at_m: rising positions along a line [m], shape (n,)
+    values: 0 or above, shape (n,), linear between positions
+    of: "outermost": distance to the last position on each side that reaches the level (envelope of interference
+        fringes); "central": distance to the first position below the level (central fringe)
     Raises MeasurementError for other shapes, a curve of zeros, and a curve that exceeds the level at an end.
     """
     share("level", level)
@@ -159,7 +162,10 @@ def half_width(at_m: ArrayLike, values: ArrayLike, level: float = 0.5, *, of: Lo
 
 
 def _filled(field: Float, x: Float, y: Float, level: float) -> list[Float]:
-    """Return the outlines of the regions where a map reaches a level; holes have the opposite orientation."""
+    """Return the outlines of the regions where a map reaches a level.
+
+    Outlines of holes have the opposite orientation.
+    """
     top = max(float(field.max()), level) + 1.0 + abs(level)
     rings: list[Float] = []
     for points, offsets in zip(

@@ -18,7 +18,7 @@ def co_rotating_average(
 ) -> Float:
     """Return the mean over time in the frame that rotates with a focus on a circle, shape (r, n_out).
 
-    times_s: evenly spaced, shape (t,); values: shape (t, r, n), at r radii and n angles 2 pi j/n in the resting frame
+    times_s: evenly spaced, shape (t,); values: shape (t, r, n), at r radii and n angles 2 pi j/n in the fixed frame
     turn_Hz: turns of the focus per second, positive counter-clockwise; the focus is at angle 0 at time 0
     angles_rad: angles from the focus at which the mean is computed, shape (n_out,)
     square: whether to return the root of the mean square instead of the mean

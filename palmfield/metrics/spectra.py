@@ -19,7 +19,7 @@ Taper = Literal["hann", "none"]
 def amplitude_spectrum(time_s: ArrayLike, signal: ArrayLike, *, taper: Taper = "hann") -> tuple[Float, Float]:
     """Return the single-sided amplitude spectrum without DC.
 
-    time_s: evenly spaced [s], shape (n,), n >= 8; signal: shape (n,)
+    time_s: evenly spaced times [s], shape (n,), n >= 8; signal: shape (n,)
     taper: "hann" or "none"; with "none", a record without whole periods has spectral leakage
     Returns frequencies [Hz] without 0 and amplitudes in the unit of the signal, both of shape (n // 2,). A sine of
     amplitude A at the frequency of a bin gives A in this bin. The weighted mean is subtracted first, so that the
@@ -111,9 +111,10 @@ def _in_band(frequency: Float, band_Hz: tuple[float, float]) -> np.ndarray:
 def spectral_peaks(frequency_Hz: Float, amplitude: Float, most: int = 4) -> list[tuple[float, float]]:
     """Return the `most` largest peaks as (frequency [Hz], amplitude), largest first.
 
-    Peaks are at least 10 dB above their surroundings and within 50 dB of the largest. A drift, which rises towards the
-    first bin, is no peak. Peaks are interpolated from the ratio of the two highest bins of a Hann window (Grandke 1983,
-    IEEE Trans. Instrum. Meas. 32, 350); error for a single sine of five periods: 0.01 bins and 0.1 %.
+    Peaks are at least 10 dB above their surroundings and within 50 dB of the largest. A drift of the signal raises the
+    first bins; it does not count as a peak. Peaks are interpolated from the ratio of the two highest bins of a Hann
+    window (Grandke 1983, IEEE Trans. Instrum. Meas. 32, 350); error for a single sine of five periods: 0.01 bins and
+    0.1 %.
     """
     frequency_Hz, amplitude = trace(frequency_Hz, amplitude, 3, single=True)
     most, top = whole("most", most, 1, len(amplitude)), float(amplitude.max())
@@ -133,7 +134,7 @@ def spectral_peaks(frequency_Hz: Float, amplitude: Float, most: int = 4) -> list
 
 
 def _maxima(level: Float) -> list[int]:
-    """Return the places of local maxima; the middle of equal values."""
+    """Return the places of local maxima. A plateau of equal values has its maximum in the middle."""
     ends = np.append(np.flatnonzero(np.diff(level)), len(level) - 1)
     starts = np.append(0, ends[:-1] + 1)
     heights = level[starts]
@@ -142,7 +143,10 @@ def _maxima(level: Float) -> list[int]:
 
 
 def _prominence(level: Float, peak: int) -> float:
-    """Return the height of a peak above the higher one of the lowest levels between it and a higher level or an end."""
+    """Return the height of a peak above the higher of two levels, one on each side.
+
+    The level of a side is the lowest level between the peak and the next higher value, or the end.
+    """
     lowest = []
     for side in (level[peak::-1], level[peak:]):
         above = np.flatnonzero(side > level[peak])

@@ -18,11 +18,12 @@ Of = Literal["magnitude", "negative", "positive"]
 
 
 def within(times_s: ArrayLike, values: ArrayLike, window_s: Window, *, single: bool = False) -> tuple[Float, Float]:
-    """Return the samples of a window: times, shape (k,), and values, shape (k, ...).
+    """Return the samples in a window: times, shape (k,), and values, shape (k, ...).
 
-    times_s: rising [s], shape (t,); values: values in any unit, shape (t, ...); window_s: (start, end) [s], both
-    included,
-        None is the whole record; single: whether to require one signal, shape (t,)
+    times_s: rising times [s], shape (t,)
+    values: values in any unit, shape (t, ...)
+    window_s: (start, end) [s], both included; None is the whole record
+    single: whether to require one signal, shape (t,)
     Raises MeasurementError for other shapes, NaN, and a window with fewer than two samples.
     """
     times, signal = trace(times_s, values, single=single)
@@ -40,7 +41,7 @@ def within(times_s: ArrayLike, values: ArrayLike, window_s: Window, *, single: b
 
 
 def last_periods(times_s: ArrayLike, frequency_Hz: float, periods: int) -> tuple[float, float]:
-    """Return the window of the last whole periods of a record [s], without the sample that begins the next period.
+    """Return a window with the last whole periods of a record [s]. It excludes the sample that begins the next period.
 
     Raises MeasurementError if the record is shorter.
     """
@@ -142,9 +143,9 @@ def peak_to_peak(times_s: ArrayLike, values: ArrayLike, window_s: Window = None)
     """Return the largest minus the smallest value, in the unit of the signal.
 
     times_s, values: as for `mean_value`
-    window_s: None is the whole record, including the onset; `last_periods` gives the steady part. The results differ,
-        because a modulated load applied at rest also moves the mean position of the skin.
-    Raises MeasurementError as `within`.
+    window_s: None is the whole record with the onset; `last_periods` gives the steady part. The results differ, because
+    a modulated load that starts from rest also moves the mean position of the skin. Raises MeasurementError as
+    `within`.
     """
     return float(np.ptp(within(times_s, values, window_s)[1]))
 

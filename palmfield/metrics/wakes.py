@@ -32,9 +32,9 @@ def wake_length(
 ) -> float:
     """Return the length of the wake behind a focus on a straight path [m].
 
-    The envelope is the largest magnitude across the path, linear between the positions along x. If it exceeds the
-    threshold up to the end of the snapshot, the result is a lower bound. For curved paths use `wake_along_path`, whose
-    threshold is a share of the part behind the focus and which does not interpolate.
+    The envelope at each x is the largest magnitude across the path; it is linear between the positions. If it exceeds
+    the threshold up to the end of the snapshot, the result is a lower bound. For curved paths use `wake_along_path`.
+    Its threshold is a share of the maximum behind the focus, and it does not interpolate.
 
     normal_velocity: a snapshot [m/s], shape (m, n), at rising x_m (m,) and y_m (n,) [m]; the focus is at
         focus_x_m [m] on y = 0 and moves along +x
@@ -65,13 +65,15 @@ def wake_length(
 def wake_along_path(
     arc_m: float, velocity: ArrayLike, places_m: ArrayLike, near: ArrayLike, threshold: float = 0.1
 ) -> tuple[float, Float, Float]:
-    """Return the wake along a curved path: its length [m], distances behind the focus [m] and the envelope there.
+    """Return the wake along a curved path: its length [m], distances behind the focus [m], and the envelope at them.
 
-    arc_m: arc length that the focus has covered; velocity: normal velocity of the nodes [m/s], shape (s,); places_m:
-        rising arc lengths of points of the path, shape (k,); near: nodes near each point, shape (k, s), bool
-    The envelope at a point is the largest magnitude of the nodes near it, over the maximum of the envelope behind the
-    focus. The wake reaches back to the first point at which the envelope is below the threshold. There is no
-    interpolation as in `wake_length`, because neighbouring points of a curved path share nodes.
+    arc_m: arc length that the focus has covered
+    velocity: normal velocity of the nodes [m/s], shape (s,)
+    places_m: rising arc lengths of points of the path, shape (k,)
+    near: which nodes are near each point, shape (k, s), bool
+    The envelope at a point is the largest magnitude of the nodes near it, divided by the maximum of the envelope behind
+    the focus. The wake extends back to the first point at which the envelope is below the threshold. Neighbouring
+    points of a curved path share nodes, so the envelope is not interpolated as in `wake_length`.
     """
     share("threshold", threshold)
     size, places = np.abs(np.asarray(velocity, dtype=float)), np.asarray(places_m, dtype=float)
@@ -89,7 +91,7 @@ def wake_along_path(
 
 
 def wake_area(normal_velocity: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, *, threshold: float = 0.1) -> float:
-    """Return the area, behind and ahead of the focus, where the magnitude of a snapshot reaches a threshold [m^2].
+    """Return the area where the magnitude of a snapshot reaches a threshold [m^2], both behind and ahead of the focus.
 
     Arguments and errors are those of `wake_length`.
     """
@@ -111,8 +113,8 @@ def mach_angle(
 ) -> float:
     """Return the angle between the wave fronts behind a focus and its path [deg].
 
-    estimator: "ridge" fits, on each side of the path, a line through the focus to the points of largest magnitude by
-        least absolute deviations, and averages both angles. "slant_stack" is
+    estimator: "ridge" fits a line through the focus on each side of the path, and averages both angles. The line passes
+        through the points of largest magnitude with the least absolute deviations. "slant_stack" is
         `palmfield.skin.analytic.mach_half_angle` on the whole snapshot
     distances_m: smallest and largest distance behind the focus that "ridge" uses
     skip_m: strip about the path that "slant_stack" omits
@@ -149,7 +151,10 @@ def _slope(distance: Float, place: Float) -> float:
 
 
 def _reach(distance: Float, envelope: Float, level: float, until: str) -> float:
-    """Return the distance at which an envelope falls below a level; distances rise, the envelope is linear between."""
+    """Return the distance at which an envelope falls below a level.
+
+    Distances rise; the envelope is linear between them.
+    """
     above = envelope >= level
     if until == "last_above":
         last = int(np.flatnonzero(above)[-1]) if above.any() else -1

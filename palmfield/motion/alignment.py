@@ -1,4 +1,4 @@
-"""Pose of a tracker relative to an array, from known points of the array touched by a fingertip."""
+"""Pose of a tracker relative to an array. A fingertip touches known points of the array."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,25 +17,28 @@ from palmfield.types import Float
 COLUMNS = tuple(f"{frame}_{axis}_m" for frame in ("array", "tracker") for axis in "xyz")
 FEWEST = 3
 LEAST_SPREAD_M = 0.02
-"""Smallest extent of the points normal to their best line; below it the rotation is undetermined."""
+"""Smallest extent of the points perpendicular to their best line; if it is smaller, the rotation is undetermined."""
 LARGEST_MISS_M = 0.02
-"""Largest misfit of points; beyond it they do not correspond to the given points."""
+"""Largest misfit of the points; if it is larger, the touched points are not the points in the table."""
 TOUCH_SD_M = 1e-3
-"""Standard deviation of a touch per axis, if there are too few points to estimate it."""
+"""Standard deviation of a touch per axis that is assumed if there are too few points to estimate it."""
 MIRRORED = 1.0 / 3.0
-"""Factor of the misfit: if a swap or reversal of axes reduces the misfit by this, the space is mirrored."""
+"""Ratio of misfits above which the axes are mirrored: before, and after a swap or a reversal of axes."""
 ABOVE_M = 0.2
 Place = tuple[float, float, float]
 
 
 class Alignment(BaseModel):
-    """Pose of a tracker's space in the frame of an array: x_array = turn(x_tracker) + position_m.
+    """Pose of the tracker frame relative to the array frame: x_array = turn(x_tracker) + position_m.
 
-    position_m: origin of the tracker; quaternion: w first; points: number of touches; rms_m: misfit
-    touch_sd_m: standard deviation of a touch per axis, from the misfit of 4 points or more, else TOUCH_SD_M
-    turn_sd_rad: standard deviation of the rotation about its least certain axis; sd_m: standard deviation of a point
-    0.2 m above the points, all axes
-    off_plane_m: extent of the points normal to their best plane; None in older files
+    position_m: origin of the tracker frame [m]
+    quaternion: rotation, w first
+    points: number of touches
+    rms_m: rms misfit of the touches [m]
+    touch_sd_m: standard deviation of a touch per axis, from the misfit of 4 points or more; otherwise TOUCH_SD_M
+    turn_sd_rad: standard deviation of the rotation about its least certain axis
+    sd_m: standard deviation, over all axes, of a point 0.2 m above the touched points
+    off_plane_m: extent of the points perpendicular to their best plane; None in older files
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -53,7 +56,7 @@ class Alignment(BaseModel):
 
     @property
     def transform(self) -> Transform:
-        """Frame of the tracker relative to the array."""
+        """Transform from the tracker frame to the array frame."""
         turn = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
         return Transform(np.array(self.position_m), turn)
 
@@ -100,8 +103,9 @@ def read_touches(path: str | Path) -> Touches:
 def align(touches: Touches) -> Alignment:
     """Fit rotation and shift from the tracker points to the array points, by least squares (Kabsch 1976).
 
-    Raises SceneError for fewer than three points, points on a line, points that do not fit, and points that fit far
-    better with two axes of the tracker swapped or one reversed (detected only for points not in one plane).
+    Raises SceneError for fewer than three points, points on a line, and points that do not fit. Raises SceneError also
+    for mirrored axes: the points fit far better if two tracker axes are swapped or one is reversed. This is detected
+    only for points that are not in one plane.
     """
     count = len(touches.array)
     if count < FEWEST:
@@ -168,7 +172,10 @@ def write_alignment(path: str | Path, alignment: Alignment) -> None:
 
 
 def _refuse_mirrored(touches: Touches, rms: float) -> None:
-    """Raise SceneError for mirrored axes. Of equally good swaps and reversals, name the one with the least rotation."""
+    """Raise SceneError for mirrored axes.
+
+    If several swaps or reversals fit equally well, name the one with least rotation.
+    """
     around, tracked = (points - points.mean(axis=0) for points in (touches.array, touches.tracker))
     fits = []
     for first, second in ((0, 1), (0, 2), (1, 2), (0, 0), (1, 1), (2, 2)):
@@ -187,7 +194,7 @@ def _refuse_mirrored(touches: Touches, rms: float) -> None:
 
 
 def _spread(points: Float) -> float:
-    """Return the extent of points normal to their best line [m]."""
+    """Return the extent of the points perpendicular to their best line [m]."""
     around = points - points.mean(axis=0)
     across = around @ np.linalg.svd(around, full_matrices=True)[2][1:].T
     return float(np.linalg.norm(np.ptp(across, axis=0)))

@@ -16,17 +16,20 @@ JOINTS = (
     *(f"thumb_{place}" for place in THUMB_PLACES),
     *(f"{digit}_{place}" for digit in DIGITS[1:] for place in FINGER_PLACES),
 )
-"""Joints in the order of XrHandJointEXT. palm is the middle of the metacarpal of the middle finger; the others, except
-the tips, are the end of the named bone nearer to the wrist."""
+"""Joints in the order of XrHandJointEXT.
+
+Joint palm is the middle of the metacarpal of the middle finger. Each other joint, except the tips, is the end of the
+named bone that is nearer to the wrist.
+"""
 ORIENTATION_VALID, POSITION_VALID, ORIENTATION_TRACKED, POSITION_TRACKED = 1, 2, 4, 8
 """Bits of XrSpaceLocationFlags."""
 ALL_FLAGS = ORIENTATION_VALID | POSITION_VALID | ORIENTATION_TRACKED | POSITION_TRACKED
 PALM_JOINTS = tuple(n for n, name in enumerate(JOINTS) if name in ("palm", "wrist") or name.endswith("metacarpal"))
 KNUCKLES = tuple(JOINTS.index(f"{digit}_proximal") for digit in DIGITS[1:])
 FARTHEST_M = 10.0
-"""Largest distance of a hand from a tracker; larger values indicate a wrong unit."""
+"""Largest distance of a hand from a tracker. Larger values indicate a wrong unit."""
 USUAL_M = (0.05, 0.4)
-"""Range of the distance from the wrist to the tip of the middle finger of a hand."""
+"""Usual range of the distance from the wrist to the tip of the middle finger."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,9 @@ def hand_joints(hand: ArticulatedHand) -> HandJoints:
 
 
 def joints_at(hand: ArticulatedHand, joints: HandJoints, origins: Float, rotations: Float) -> Float:
-    """Return the positions of joints [m], shape (26, 3), for bones at `origins` [m], (bones, 3), and `rotations`."""
+    """Return the positions of the joints [m], shape (26, 3), of a posed hand.
+
+    origins: origins of the bones [m], shape (bones, 3); rotations: their rotations
+    """
     arms = joints.positions - hand.origins[joints.bones]
     return origins[joints.bones] + np.einsum("jab,jb->ja", rotations[joints.bones], arms)

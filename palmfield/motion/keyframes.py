@@ -17,20 +17,24 @@ from palmfield.motion.rates import FrameRates, HandRates
 from palmfield.types import Float
 
 STEEPEST = 1.25
-"""Largest slope of a smooth curve at a key, over that of the flatter line to its neighbours."""
+"""Largest slope of a smooth curve at a key, divided by the slope of the flatter of the two adjacent chords."""
 END = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 2.5, -1.5])
 SMOOTH = 1.0 - END(np.polynomial.Polynomial([1.0, -1.0])), np.polynomial.Polynomial([0, 0, 0, 10.0, -15.0, 6.0]), END
-"""Bernstein polynomials of the fifth order, summed from the end: mean of the first two, third, mean of the last two."""
+"""Cumulative Bernstein polynomials of fifth order, summed from the end.
+
+Three are used: the mean of the first two, the third, and the mean of the last two.
+"""
 
 
 class Curve:
     """A motion through poses: continuously differentiable, and at rest before the first and after the last.
 
     Positions and angles are monotone cubics (Fritsch & Carlson 1980), so they stay between neighbouring keys.
-    Orientation is the cubic of Kim, Kim & Shin (1995, A general construction scheme for unit quaternion curves), with
-    the angular velocity at a key limited in the same way; between equal keys the hand rests.
-    span_s: first and last time [s]. smooth: whether the polynomials are of fifth degree, without acceleration at the
-    keys. The motion then has continuous accelerations (`rates`), and from rest to rest it is that of least jerk.
+    Orientations are cubic quaternion curves (Kim, Kim & Shin 1995, A general construction scheme for unit quaternion
+    curves). The angular velocity at a key is limited in the same way. Between equal keys the hand rests.
+    span_s: first and last time [s]
+    smooth: whether the polynomials are of fifth degree, with zero acceleration at the keys. Accelerations are then
+        continuous (`rates`), and a motion from rest to rest is the minimum-jerk motion.
     """
 
     def __init__(
@@ -43,10 +47,14 @@ class Curve:
         rest: bool,
         smooth: bool = False,
     ) -> None:
-        """All values must be checked. times_s: rising [s], shape (n,), n >= 2; positions: [m], shape (n, 3);
-        quaternions: unit, w first, shape (n, 4); angles_deg: [deg], shape (n, joints).
+        """Make a curve. All values must have been checked before.
 
-        rest: whether to begin and end at rest; if not, with the speed between the first and last two poses
+        times_s: rising times [s], shape (n,), n >= 2
+        positions: [m], shape (n, 3)
+        quaternions: unit quaternions, w first, shape (n, 4)
+        angles_deg: joint angles [deg], shape (n, joints)
+        rest: whether to begin and end at rest; if not, the end speeds are those between the first and the last two
+            poses
         smooth: see Curve; only with `rest`
         """
         self.span_s = float(times_s[0]), float(times_s[-1])
@@ -87,7 +95,7 @@ class Curve:
         return HandPose(values[:3], np.array(turned), angles)
 
     def rates(self, time_s: float) -> HandRates:
-        """Return the analytic derivatives of a smooth curve at a time [s]; 0 outside the span."""
+        """Return the analytic derivatives of a smooth curve at a time [s]. They are 0 outside the span."""
         pose = self(time_s)
         if not self.span_s[0] < time_s < self.span_s[1]:
             return HandRates(FrameRates.at_rest(), pose.angles_deg, {}, {})
@@ -105,7 +113,7 @@ class Curve:
 
 
 def _value(coefficients: Float, x: float) -> Float:
-    """Return the values of polynomials, coefficients of the highest power first, shape (k, m); shape (m,)."""
+    """Return the values of polynomials, shape (m,). coefficients: shape (k, m), highest power first"""
     values, *others = coefficients
     for coefficient in others:
         values = values * x + coefficient
@@ -113,14 +121,14 @@ def _value(coefficients: Float, x: float) -> Float:
 
 
 def _derivative(coefficients: Float) -> Float:
-    """Return the coefficients of the derivatives of such polynomials, shape (k - 1, m)."""
+    """Return the coefficients of the derivatives of polynomials as in `_value`, shape (k - 1, m)."""
     return coefficients[:-1] * np.arange(len(coefficients) - 1, 0, -1)[:, None]
 
 
 def _turned(
     quaternion: Sequence[float], shares: Sequence[float], turns: Sequence[Sequence[float]]
 ) -> tuple[float, float, float, float]:
-    """Return a rotation (w, x, y, z) followed, in body axes, by successive shares of rotation vectors [rad]."""
+    """Return a rotation (w, x, y, z) that is followed, in body axes, by successive shares of rotation vectors [rad]."""
     w, x, y, z = quaternion
     for share, (a, b, c) in zip(shares, turns, strict=True):
         angle = math.sqrt(a * a + b * b + c * c)
@@ -139,7 +147,7 @@ def _turned(
 def _turns(times: Float, keys: Rotation, rest: bool, share: float) -> Float:
     """Return the three rotation vectors of each interval of the curve [rad], shape (n - 1, 3, 3).
 
-    share: part of an interval for which the first and the last continue at the speed of their key
+    share: part of an interval in which the first and the last vector continue at the speed of their key
     """
     steps = np.diff(times)[:, None]
     speeds = (keys[:-1].inv() * keys[1:]).as_rotvec() / steps

@@ -18,24 +18,27 @@ LOG = logging.getLogger(__name__)
 By = Literal["udp", "tcp"]
 LONGEST_LINE = 65536
 LOOK_S = 0.02
-"""Largest time between two checks of the sockets while this process runs."""
+"""Largest time between two checks of the sockets while this process is running."""
 STALE_S = 0.1
 """Largest age of received data; older data are not used."""
 QUEUED_BYTES, LINE_COSTS = 49152, 512
-"""Number of queued bytes from which the system of the sender may queue further old bytes, and memory of the system per
-line. Linux blocks a sender that is not read at 94 kB, or at 142 lines of 50 bytes."""
+"""Size of a full queue [bytes], and system memory used by one line [bytes].
+
+At this size, the sender's system may queue further old bytes. Linux blocks a sender whose data are not read at 94 kB,
+or at 142 lines of 50 bytes.
+"""
 NEXT_SENDER_S = 1.0
-"""Time of silence after which another sender may replace a UDP sender."""
+"""Duration of silence of a UDP sender [s] after which another sender may replace it."""
 WAITING = 8
-"""Largest number of open TCP connections without a valid line; a further connection closes the oldest."""
+"""Largest number of open TCP connections that have not sent a valid line. One more connection closes the oldest one."""
 FOREIGN = "garbled", "keys", "convention"
-"""Errors of a first line that close its connection, because the sender uses another protocol."""
+"""Errors in a first line that close its connection, because they show that the sender uses another protocol."""
 REPORTED, REPORTED_LENGTH = 5, 300
-"""Number of invalid lines of a kind that are reported with their text, and number of characters of each."""
+"""Number of invalid lines of each kind that are reported with their text, and number of characters of each text."""
 
 
 class BadLine(ValueError):
-    """An invalid line. kind: kind of the error, for counts"""
+    """An invalid line. kind: kind of the error, under which the line is counted"""
 
     def __init__(self, kind: str, text: str) -> None:
         super().__init__(f"{kind}: {text}")
@@ -43,7 +46,7 @@ class BadLine(ValueError):
 
 
 def read_object(line: str | bytes) -> dict[str, Any]:
-    """Return the JSON object in a line, with numbers as floats, inf if too large. Raises BadLine: garbled."""
+    """Return the JSON object in a line. Numbers are floats, and inf if too large. Raises BadLine of kind garbled."""
     try:
         value = json.loads(line.decode() if isinstance(line, bytes) else line, parse_int=float)
     except (ValueError, RecursionError, MemoryError) as error:
@@ -56,9 +59,10 @@ def read_object(line: str | bytes) -> dict[str, Any]:
 class LineListener(Closing):
     """Context manager that reads the lines of one sender in a separate thread. A subclass processes the lines.
 
-    One sender is accepted from its first valid line on: with TCP until its connection ends, with UDP until it has been
-    silent for NEXT_SENDER_S. Other senders are refused. A connection with another protocol in its first line (for
-    example an HTTP request) is closed. Lines queued for more than STALE_S, while this process did not run, are skipped.
+    One sender is accepted, from its first valid line on. A TCP sender is accepted until its connection ends, a UDP
+    sender until it has been silent for NEXT_SENDER_S. Other senders are refused. A connection with another protocol in
+    its first line (for example an HTTP request) is closed. If this process was stopped, lines that were queued for more
+    than STALE_S are skipped.
 
     host, port, by: address; received: number of valid lines so far
     bad: number of skipped lines of each kind; reported: text of the first errors of each kind
@@ -90,7 +94,7 @@ class LineListener(Closing):
 
     @abstractmethod
     def read_line(self, line: bytes, came_s: float) -> None:
-        """Process a line that arrived at a time of time.monotonic() [s]; called in the listening thread.
+        """Process a line. came_s: its arrival, as time.monotonic() [s]. The listening thread calls this method.
 
         Raises BadLine; any other exception counts as a garbled line.
         """
@@ -104,7 +108,10 @@ class LineListener(Closing):
             )
 
     def wait(self, after: int, timeout_s: float) -> bool:
-        """Wait until more than `after` valid lines came; return whether they did. Raises DeviceError as `check`."""
+        """Wait until more than `after` valid lines have arrived; return whether they have.
+
+        Raises DeviceError as `check`.
+        """
         with self._news:
             self._news.wait_for(lambda: self.received > after or self._failed is not None, timeout_s)
         self.check()
@@ -118,7 +125,7 @@ class LineListener(Closing):
             self.reported.append("".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:REPORTED_LENGTH]))
 
     def skipped(self) -> str:
-        """Return the number of skipped lines of each kind, in brackets; "" for none."""
+        """Return the number of skipped lines of each kind, as text in brackets; "" if no line was skipped."""
         kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(self.bad.items()))
         return f" ({kinds})" if kinds else ""
 
@@ -198,7 +205,7 @@ class LineListener(Closing):
             self._read(peer, (name, rest), since_s)
 
     def _read(self, peer: socket.socket, of: tuple[str, bytearray], since_s: float) -> None:
-        """Read all data of a connection; an incomplete line at its end is treated as a line."""
+        """Read all data of a connection. An incomplete line at its end counts as a line."""
         name, rest = of
         waited = 0
         while not self._ended.is_set():

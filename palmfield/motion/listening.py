@@ -11,8 +11,11 @@ from palmfield.motion.tracking import Stream
 from palmfield.motion.wire import Sample, read_sample
 
 JUMP_S, SURE = 1.0, 10
-"""Largest change of the difference between the clocks of tracker and machine, and number of consecutive samples with a
-larger change that must agree before it is accepted as a clock that was set. A single sample far ahead is skipped."""
+"""Largest jump between the clocks of tracker and machine [s], and number of samples that confirm a larger jump.
+
+If so many consecutive samples agree on a larger jump, the tracker's clock was set, and the jump is accepted. A single
+sample far ahead is skipped.
+"""
 
 
 class Arrived(NamedTuple):
@@ -26,8 +29,8 @@ class Listener(LineListener):
     """Context manager that reads samples from a socket.
 
     samples: valid samples in the order of arrival, with rising times of the tracker
-    offset_s: offset from the clock of the tracker to that of this machine [s], by the sample with the shortest
-    transport
+    offset_s: offset from the clock of the tracker to the clock of this machine [s], from the sample with the shortest
+    transport time
     """
 
     def __init__(
@@ -80,5 +83,5 @@ class Listener(LineListener):
 
 
 def _agree(one: Arrived, other: Arrived) -> bool:
-    """Return whether the times between two samples on the clocks of tracker and machine agree to JUMP_S."""
+    """Return whether the interval between two samples agrees, within JUMP_S, on the clocks of tracker and machine."""
     return abs(other.sample.time_s - one.sample.time_s - (other.time_s - one.time_s)) < JUMP_S

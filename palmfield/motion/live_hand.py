@@ -25,13 +25,17 @@ from palmfield.transforms import Transform
 from palmfield.types import Float
 
 PALM_SAMPLES = 5
-"""Number of samples with all joints of the palm from which its shape is estimated."""
+"""Number of samples with all palm joints from which the shape of the palm is estimated."""
 PREDICT_S = 0.2
 
 
 class LivePose(NamedTuple):
-    """A live pose. pose: pose in the world; arrived_s: arrival of its sample [s, monotonic clock]; sample_s: time of
-    the sample on the clock of the tracker [s], without extrapolation"""
+    """A live pose.
+
+    pose: pose in the world
+    arrived_s: arrival of its sample [s, monotonic clock]
+    sample_s: time of the sample on the tracker's clock [s], without extrapolation
+    """
 
     pose: HandPose
     arrived_s: float
@@ -39,10 +43,12 @@ class LivePose(NamedTuple):
 
 
 class LiveHand(Closing):
-    """Context manager that follows the newest sample of a tracker in a separate thread.
+    """Context manager that lets a hand follow the newest tracker sample, in a separate thread.
 
-    listener: reads the samples; newest: last pose, None before the shape of the palm is estimated
-    fitted: number of fitted samples; fit_s: time for each [s]
+    listener: reads the samples
+    newest: last pose; None until the shape of the palm is estimated
+    fitted: number of fitted samples
+    fit_s: computing time for each sample [s]
     """
 
     def __init__(
@@ -55,7 +61,8 @@ class LiveHand(Closing):
         port: int = 0,
         by: By = "udp",
     ) -> None:
-        """to_world: frame of the tracker in the world; ahead_s: extrapolation of each sample [s]
+        """to_world: pose of the tracker frame in the world
+        ahead_s: time by which each sample is extrapolated [s]
 
         Raises DeviceError for an address at which it cannot listen.
         """
@@ -88,14 +95,14 @@ class LiveHand(Closing):
         )
 
     def check(self) -> None:
-        """Raise errors of the threads: SceneError for a hand of the other side, DeviceError if one failed."""
+        """Raise errors of the threads: SceneError for a hand of the other side, DeviceError if a thread failed."""
         self.listener.check()
         if self._error is not None:
             raise self._error
 
     @property
     def stale(self) -> bool:
-        """Whether the hand has not been seen for STALE_S."""
+        """Whether no sample of the hand has arrived for STALE_S."""
         return self.newest is None or time.monotonic() - self.newest.arrived_s > STALE_S
 
     def close(self) -> None:

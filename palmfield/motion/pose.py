@@ -27,7 +27,10 @@ class HandPose:
 
 
 PoseCourse = Callable[[float], HandPose]
-"""Function from time [s] to pose. Those of palmfield have `span_s`, first and last time, and are constant outside."""
+"""Function from time [s] to pose.
+
+palmfield's own functions have `span_s` (first and last time), and are constant outside.
+"""
 
 
 def checked_pose(pose: HandPose, where: str, hand: ArticulatedHand | None = None) -> HandPose:

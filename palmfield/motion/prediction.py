@@ -17,11 +17,12 @@ Bool = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise model of tracker and hand, which determines the gains of the filter.
+    """Noise model of tracker and hand. It determines the gains of the filter.
 
-    position_m, angle_rad: standard deviation of one packet; accel_m_s2, accel_rad_s2: standard deviation of the
-    acceleration of a joint between packets. At 90 packets/s the steady gains are 0.75 for position and 0.50/period for
-    speed; for orientation they are 0.67 and 0.36/period.
+    position_m, angle_rad: standard deviation of one packet
+    accel_m_s2, accel_rad_s2: standard deviation of the acceleration of a joint between packets
+    At 90 packets/s the steady gains are 0.75 (position) and 0.50/period (velocity). For orientation they are 0.67 and
+    0.36/period.
     """
 
     position_m: float = 0.0005
@@ -37,7 +38,7 @@ class Resampled:
     stream: stream at the times clock + ahead_s
     report: quality of the input packets
     age_s: time of each joint since its last packet [s], shape (clock, 26); inf before the first packet
-    held: share of joints and clock times that are held because their last packet is too old
+    held: fraction of (joint, clock time) pairs at which the joint is fixed, because its last packet is too old
     skipped: number of packets that were omitted because they were out of order or repeated
     """
 
@@ -49,9 +50,11 @@ class Resampled:
 
 
 class _Filter:
-    """Kalman filter of position or small rotation and speed of each joint, for constant speed between packets.
+    """Kalman filter of position (or small rotation) and velocity of each joint.
 
-    The covariance is equal for all axes of a joint. Bar-Shalom, Li & Kirubarajan (2001), Estimation with
+    The velocity is constant between packets.
+
+    The covariance is the same for all axes of a joint. Source: Bar-Shalom, Li & Kirubarajan (2001), Estimation with
     Applications to Tracking and Navigation, section 6.3.2: discrete white-noise acceleration.
     """
 
@@ -76,10 +79,10 @@ class _Filter:
 
 
 class Predictor:
-    """Predicts joints at any time after the last packet from the packets so far."""
+    """Predicts joints at any time after the last packet, from the packets received up to then."""
 
     def __init__(self, noise: Noise, predict_s: float, n: int = len(JOINTS)) -> None:
-        """predict_s: time for which a joint without packets moves on at its speed before it is held [s]
+        """predict_s: time for which a joint without packets continues at its velocity before it is fixed [s]
 
         n: number of joints or other tracked frames
         """
@@ -147,10 +150,10 @@ def resample(
 ) -> Resampled:
     """Predict the hand `ahead_s` [s] after each time of a rising clock [s], shape (n,).
 
-    Only packets up to the clock time are used; packets out of order are omitted. A joint without packets moves at its
-    last speed until `predict_s` [s] after its last packet, including ahead_s. Then it is held and flagged as valid but
-    not as tracked; the next packet restarts its filter. Before its first packet a joint is not valid.
-    Raises SceneError for an invalid stream, a clock that does not rise, and negative times.
+    Only packets up to the clock time are used; packets out of order are omitted. A joint without packets continues at
+    its last velocity until `predict_s` [s] after its last packet, including ahead_s. Then its position is fixed, and it
+    is flagged as valid but not as tracked. The next packet restarts its filter. Before its first packet a joint is not
+    valid. Raises SceneError for an invalid stream, a clock that does not rise, and negative times.
     """
     checked = checked_stream(stream, "tracking stream")
     clock = rising(clock_s, "tracking clock")

@@ -1,15 +1,15 @@
-"""Unit quaternions (w, x, y, z) as rows of an array, for small numbers; SciPy's rotations take 20 us per call."""
+"""Unit quaternions (w, x, y, z) as rows of small arrays. SciPy's rotations would take 20 us per call."""
 
 import numpy as np
 
 from palmfield.types import Float
 
 SMALL_RAD = 1e-3
-"""Angle below which a series is used, whose error is that of rounding, instead of a quotient."""
+"""Angle below which a series is used instead of a quotient. The error of the series is that of rounding."""
 
 
 def product(a: Float, b: Float) -> Float:
-    """Return the rotations by b followed by a, shape (n, 4)."""
+    """Return the rotation by b followed by the rotation by a, for each row, shape (n, 4)."""
     aw, ax, ay, az = a.T
     bw, bx, by, bz = b.T
     result = np.empty_like(b)

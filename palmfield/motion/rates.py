@@ -1,4 +1,4 @@
-"""Velocities and accelerations of a hand and of its bones, from the derivatives of a scripted motion."""
+"""Velocities and accelerations of a hand and of its bones, computed from the derivatives of a scripted motion."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,14 +12,15 @@ from palmfield.transforms import Transform
 from palmfield.types import Float
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Products of two components of the angular velocity in `FrameRates.numbers`."""
+"""Products of two components of the angular velocity that `FrameRates.numbers` contains."""
 
 
 class FrameRates(NamedTuple):
-    """Motion of a frame relative to the world, in its own axes.
+    """Motion of a frame relative to the world, expressed in the axes of the frame.
 
-    spin, spin_rate: angular velocity [rad/s] and acceleration [rad/s^2], shape (3,); acceleration: of the origin
-    [m/s^2], shape (3,)
+    spin: angular velocity [rad/s], shape (3,)
+    spin_rate: angular acceleration [rad/s^2], shape (3,)
+    acceleration: acceleration of the origin [m/s^2], shape (3,)
     """
 
     spin: Float
@@ -31,7 +32,7 @@ class FrameRates(NamedTuple):
         return cls(np.zeros(3), np.zeros(3), np.zeros(3))
 
     def at(self, point: Float) -> Float:
-        """Return the acceleration of a point that is fixed in the frame [m/s^2], shape (3,); point: [m], shape (3,)."""
+        """Return the acceleration [m/s^2], shape (3,), of a point [m], shape (3,), that is fixed in the frame."""
         spin = np.cross(self.spin, np.cross(self.spin, point))
         return np.asarray(self.acceleration + np.cross(self.spin_rate, point) + spin)
 
@@ -41,10 +42,12 @@ class FrameRates(NamedTuple):
         return FrameRates(into @ self.spin, into @ self.spin_rate, into @ self.at(frame.position))
 
     def hinge(self, axis: Float, angles: Sequence[float], pivot: Float) -> "FrameRates":
-        """Return the motion of a frame that turns in this one about a fixed axis through a point.
+        """Return the motion of a frame that rotates relative to this frame about a fixed axis through a point.
 
-        axis: shape (3,); angles: angle and its two derivatives, in 1, 1/s and 1/s^2 times the length of the axis
-        [rad]; pivot: [m], shape (3,). At angle 0 both frames coincide.
+        axis: shape (3,); its length scales the angles
+        angles: angle and its first two derivatives, in units of 1, 1/s and 1/s^2 times the length of the axis [rad]
+        pivot: the point [m], shape (3,)
+        At angle 0 both frames coincide.
         """
         angle, speed, rate = angles
         into = Rotation.from_rotvec(angle * axis).inv()
@@ -63,8 +66,8 @@ class FrameRates(NamedTuple):
 class HandRates:
     """Derivatives of a hand pose.
 
-    frame: motion of the hand frame. angles_deg, speeds_deg_s, accelerations_deg_s2: of the joints by name; joints
-    without an entry are at rest.
+    frame: motion of the hand frame
+    angles_deg, speeds_deg_s, accelerations_deg_s2: of the joints by name; a joint without an entry is at rest
     """
 
     frame: FrameRates
@@ -73,7 +76,10 @@ class HandRates:
     accelerations_deg_s2: Mapping[str, float]
 
     def bones(self, hand: ArticulatedHand) -> list[FrameRates]:
-        """Return the motion of the frame of each bone, moved to the origin of the hand frame at rest."""
+        """Return the motion of the frame of each bone.
+
+        Its origin is where the origin of the resting hand frame moves.
+        """
         moved = [self.frame] * len(hand.bones)
         for joint, (bone, before) in zip(hand.joints, hand.turns_from, strict=True):
             angle = self.angles_deg.get(joint.name, joint.rest_deg) - joint.rest_deg

@@ -1,4 +1,4 @@
-"""Send a recorded hand in real time, in place of a tracker."""
+"""Send a recorded hand motion in real time, as a tracker would."""
 
 import socket
 import time
@@ -14,7 +14,7 @@ CONNECT_S = 5.0
 
 
 def address(text: str) -> tuple[str, int]:
-    """Parse HOST:PORT, or PORT of this machine. Raises DeviceError for anything else."""
+    """Parse HOST:PORT, or a PORT of this machine. Raises DeviceError for any other text."""
     host, colon, port = text.rpartition(":")
     if not port.isdigit() or int(port) > 65535 or (colon and not host):
         raise DeviceError(f"'{text}' is not an address; give HOST:PORT, or PORT for this machine")
@@ -22,7 +22,7 @@ def address(text: str) -> tuple[str, int]:
 
 
 def address_by(text: str) -> tuple[str, int, By]:
-    """Parse an `address` after `tcp:` or `udp:`, default udp. Raises DeviceError for anything else."""
+    """Parse an `address` after `tcp:` or `udp:`; the default is udp. Raises DeviceError for any other text."""
     kind, colon, rest = text.partition(":")
     named = kind in ("tcp", "udp") and colon
     host, port = address(rest if named else text)
@@ -41,7 +41,7 @@ def replay(
 ) -> int:
     """Send each packet at its time; return the number of sent packets.
 
-    speed: factor of the speed; repeat: number of times that the recording is sent
+    speed: factor of the playback speed; repeat: number of times that the recording is sent
     stamp: whether to replace the times of samples by the sending times on the monotonic clock of this machine
     Raises DeviceError if there is no receiver, and for a speed or number out of range.
     """

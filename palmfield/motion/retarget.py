@@ -34,7 +34,10 @@ CHAINS = tuple(
 """Joints of each digit from its root, which is fixed in the palm, to its tip."""
 PALM_ROUNDS = 20
 TO_BEFORE_m_deg = 2e-5
-"""Weight of the angles of the frame before, 0.02 mm per degree; it affects only angles that the joints leave free."""
+"""Weight of the deviation from the angles of the previous frame: 0.02 mm per degree.
+
+It affects only angles that the tracked joints do not determine.
+"""
 FEWEST_PALM_JOINTS, LEAST_SPREAD_m = 4, 0.01
 
 
@@ -43,11 +46,11 @@ class RetargetReport:
     """Quality of the fit.
 
     frames: number of fitted frames; skipped: frames whose valid joints do not determine the orientation of the palm
-    scale_across, scale_along: size of our palm over that of the tracked palm, across and along
+    scale_across, scale_along: size of our palm divided by the size of the tracked palm, across and along
     tip_rms_m, tip_max_m: distance of our fingertips from their targets in the frame of the palm, over valid tips [m];
         targets have the directions of the tracked bones and the lengths of our bones
     palm_rms_m: deviation of the joints of the tracked palm from a rigid palm [m]
-    at_limit: share of joints and frames at the end of the range of the joint
+    at_limit: fraction of (joint, frame) pairs in which the joint is at an end of its range
     """
 
     frames: int
@@ -76,11 +79,12 @@ class Retargeted:
 def retarget(hand: ArticulatedHand, stream: Stream) -> Retargeted:
     """Return the motion of `hand` that follows a tracked hand of the same side.
 
-    The lengths of bones differ, so not all tracked joints can be matched. Our wrist is at the tracked wrist. Our palm
-    has the orientation of the tracked palm, which is first scaled across and along to ours. Joints and tip of each
-    digit are fitted, within the ranges of the joints, to targets with the directions of the tracked bones and the
-    lengths of our bones. The forearm continues the hand, because the joints of OpenXR do not contain the flexion of the
-    wrist. Orientations and radii are not used. Packets are sorted and interpolated by `Curve`.
+    Bone lengths differ between hands, so our joints cannot coincide with all tracked joints. Our wrist is at the
+    tracked wrist. Our palm has the orientation of the tracked palm, after the tracked palm is scaled, across and along,
+    to the size of ours. The joints and the tip of each digit are fitted to target points, within the ranges of the
+    joints. The targets have the directions of the tracked bones and the lengths of our bones. The forearm continues the
+    hand, because the joints of OpenXR do not contain the flexion of the wrist. Orientations and radii are not used.
+    Packets are sorted and interpolated by `Curve`.
     Raises SceneError for an invalid stream, a hand of the other side, and fewer than two frames to fit.
     """
     packets = ordered(checked_stream(stream, "tracking stream"))
@@ -113,11 +117,12 @@ def retarget(hand: ArticulatedHand, stream: Stream) -> Retargeted:
 
 
 class Followed(NamedTuple):
-    """Fit of a hand to a packet.
+    """Fit of a hand to one packet.
 
-    position [m], quaternion (w first), angles_deg: of all joints, shape (joints,)
-    tip_misses: residuals of the valid tips [m]; palm_misses: residuals of the valid joints of the palm [m], shape (k,
-    3)
+    position [m], quaternion (w first): pose of the hand frame
+    angles_deg: angles of all joints, shape (joints,)
+    tip_misses: residuals of the valid tips [m]
+    palm_misses: residuals of the valid palm joints [m], shape (k, 3)
     """
 
     position: Float
@@ -128,7 +133,11 @@ class Followed(NamedTuple):
 
 
 class Follower:
-    """Fits a hand to successive packets. names: joint names; scales: our palm over the tracked one, across and along"""
+    """Fits a hand to successive packets.
+
+    names: joint names
+    scales: size of our palm divided by the size of the tracked palm, across and along
+    """
 
     def __init__(self, hand: ArticulatedHand, positions: Float, valid: Bool) -> None:
         """positions: joints of packets for the shape of the palm [m], shape (n, 26, 3); valid: flags, (n, 26).
@@ -146,7 +155,10 @@ class Follower:
         self.names = [joint.name for joint in hand.joints]
 
     def follow(self, positions: Float, valid: Bool) -> Followed:
-        """Return the pose for a packet, shapes (26, 3) [m] and (26,), which must fix the palm (`fixes_palm`)."""
+        """Return the pose for a packet with joint positions [m], shape (26, 3), and flags, shape (26,).
+
+        The packet must determine the orientation of the palm (`fixes_palm`).
+        """
         visible = valid[self._rigid]
         turn, shift = _rigid(self._palm[visible], positions[self._rigid][visible])
         palm_misses = self._palm[visible] @ turn.T + shift - positions[self._rigid][visible]
@@ -161,7 +173,7 @@ class Follower:
         return Followed(place, quaternion, self._before, tip_misses, palm_misses)
 
     def at_limit(self, angles: Float) -> float:
-        """Return the share of angles, shape (frames, joints), within 0.01 degrees of an end of their range."""
+        """Return the fraction of the angles, shape (frames, joints), within 0.01 degrees of an end of their range."""
         return self._fit.at_limit(angles)
 
 
@@ -205,9 +217,9 @@ def _palm_of(positions: Float, valid: Bool) -> Float:
 
 
 def _palm_in_our_frame(ours: Float, theirs: Float) -> tuple[Float, Float]:
-    """Return the tracked palm with our orientation, shape (joints, 3), and its scales to ours across and along.
+    """Return the tracked palm in our orientation, shape (joints, 3), and its scales to ours, across and along.
 
-    Scaling across holds for the height over the palm as well. Raises SceneError for a hand of the other side.
+    The scale across also applies to the height above the palm. Raises SceneError for a hand of the other side.
     """
     target, centred = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
     turned, scales, miss = _turned_and_scaled(target, centred)
@@ -237,9 +249,11 @@ def _turned_and_scaled(target: Float, centred: Float) -> tuple[Float, Float, flo
 
 
 class _Placed(NamedTuple):
-    """The posed hand. origins: origins of bones [m], shape (bones, 3); rotations: shape (bones, 3, 3)
+    """The posed hand.
 
-    joints: joints and tip beyond the root of each digit [m], shape (5, 3, 3)
+    origins: origins of the bones [m], shape (bones, 3)
+    rotations: shape (bones, 3, 3)
+    joints: joints after the root, and tip, of each digit [m], shape (5, 3, 3)
     """
 
     origins: Float
@@ -273,10 +287,11 @@ class _Fit:
         self._lengths = np.linalg.norm(np.diff(joints.positions[self._chains], axis=1), axis=2)
 
     def angles(self, steps: Float, valid: Bool, before: Float) -> tuple[Float, Float]:
-        """Return angles of all joints [deg], shape (joints,), and the misses of the valid tips [m].
+        """Return angles of all joints [deg], shape (joints,), and the residuals of the valid tips [m].
 
-        steps: tracked bones of the digits in the frame of the palm, from joint to joint [m], shape (5, 3, 3)
-        valid: whether both ends are valid, shape (5, 3); before: angles of the frame before [deg]
+        steps: tracked bones of the digits in the frame of the palm, as vectors from joint to joint [m], shape (5, 3, 3)
+        valid: whether both ends of a bone are valid, shape (5, 3)
+        before: angles of the previous frame [deg]
         """
         long = np.linalg.norm(steps, axis=2, keepdims=True)
         usable = valid & (long[:, :, 0] > 1e-4)
@@ -308,7 +323,7 @@ class _Fit:
         return self._all(x), tips
 
     def at_limit(self, angles: Float) -> float:
-        """Return the share of angles, shape (frames, joints), within 0.01 degrees of an end of their range."""
+        """Return the fraction of the angles, shape (frames, joints), within 0.01 degrees of an end of their range."""
         x = angles[:, self._moving]
         return float(np.mean((x < self._low + 0.01) | (x > self._high - 0.01)))
 

@@ -1,4 +1,4 @@
-"""Motion of the keys of a scene, from a file or function."""
+"""Motion that the keys of a scene define, from a file or a function."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,9 +34,11 @@ DEFAULT_HAND = "open_men_p50"
 
 @dataclass(frozen=True)
 class HandMotion:
-    """Motion of a hand. hand: articulated hand, None for a rigid hand; at: function from scene time [s] to pose
+    """Motion of a hand.
 
-    rates: function from scene time [s] to its derivatives; None if the accelerations may jump
+    hand: articulated hand, None for a rigid hand
+    at: function from scene time [s] to the pose
+    rates: function from scene time [s] to the derivatives of the pose; None if the accelerations may jump
     """
 
     hand: ArticulatedHand | None
@@ -45,10 +47,7 @@ class HandMotion:
 
 
 def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
-    """Return the motion of the keys of a scene; array: frame of the first array of the scene in the world.
-
-    Raises SceneError for files and functions that cannot be read or found.
-    """
+    """Return the motion that the keys of a scene define. array: frame of the first array of the scene in the world"""
     hand = None if config.hand is None else articulate(load_preset(config.hand))
     joints = hand or articulate(load_preset(DEFAULT_HAND))
     if config.keyframes is not None:
@@ -71,10 +70,12 @@ def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
 def tracker_frame(
     array: Transform, alignment: str | Path | None, up: str | None, origin_m: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> Transform:
-    """Return the frame of a tracker in the world of a scene whose first array is at `array`.
+    """Return the pose of the tracker frame in the world of a scene, whose first array is at `array`.
 
-    alignment: file of `palmfield track align`; without it the origin of the tracker is at `origin_m` [m], and `up` is
-        its vertical axis. Raises SceneError for an alignment that cannot be read.
+    alignment: file of `palmfield track align`
+    up: vertical axis of the tracker, used without an alignment
+    origin_m: origin of the tracker [m], used without an alignment
+    Raises SceneError for an alignment that cannot be read.
     """
     if alignment is not None:
         position, rotation = read_alignment(alignment).transform
@@ -84,7 +85,10 @@ def tracker_frame(
 
 
 def _tracked(config: MotionConfig, array: Transform) -> Stream:
-    """Return the recorded stream in the world of the scene, with the prediction of a live system if ahead_s is set."""
+    """Return the recorded stream in the world of the scene.
+
+    If ahead_s is set, it is predicted as a live system would do.
+    """
     assert config.tracking is not None
     stream = read_stream(config.tracking)
     frame = tracker_frame(array, config.tracking_alignment, config.tracking_up, config.tracking_origin_m)
@@ -102,11 +106,14 @@ def _tracked(config: MotionConfig, array: Transform) -> Stream:
 
 
 def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None, smooth: bool = False) -> Curve:
-    """Read a TOML file of [[key]] tables: time_s, position_m, and optional quaternion (w, x, y, z) or turn_deg
-    (rotation vector), pose (by name) and joints_deg (angles that differ from it).
+    """Read a TOML file of keyframes, which has one [[key]] table per key.
+
+    A key has time_s and position_m. Optional are an orientation, as quaternion (w, x, y, z) or turn_deg (rotation
+    vector), a named pose, and joints_deg (angles that differ from this pose).
 
     preset: name of an articulated hand, whose skin must not intersect itself at any key; None for a rigid hand
-    smooth: see `Curve`. Raises SceneError with the number of the key and the field.
+    smooth: see `Curve`
+    Raises SceneError with the number of the key and the field.
     """
     with reading(f"keyframes {path}", SceneError, "a TOML file of tables [[key]]"):
         keys = read_toml(path).get("key", [])
@@ -172,7 +179,7 @@ def _check_skin(path: Path, preset: str, poses: list[dict[str, float]]) -> None:
 
 @lru_cache(maxsize=256)
 def _fault(hand: str, pose: tuple[tuple[str, float], ...]) -> str:
-    """Return why the skin of a preset (JSON) does not allow a pose, or ""; cached for scenes that are opened again."""
+    """Return why the skin of a preset (JSON) does not allow a pose, or "". The result is cached for later calls."""
     try:
         posed_surface(_skinned(hand), dict(pose))
     except SceneError as error:

@@ -26,17 +26,17 @@ from palmfield.types import Float, Int
 
 PARTS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "radius_m", "flags")
 GAP = 1.5
-"""Smallest time between packets, in usual periods, that is a dropout."""
+"""Smallest time between packets that counts as a dropout, in usual periods."""
 
 
 @dataclass(frozen=True)
 class Stream:
     """Packets of tracked joints in the order of arrival.
 
-    times_s: times of measurement [s], shape (n,), not always rising
+    times_s: times of measurement [s], shape (n,); they may be out of order
     positions: positions of JOINTS in the world [m], shape (n, 26, 3)
     quaternions: orientations, w first (last in OpenXR), shape (n, 26, 4)
-    radii: [m], shape (n, 26)
+    radii: distance from each joint to the skin [m], shape (n, 26)
     flags: XrSpaceLocationFlags, shape (n, 26); joints not flagged as valid are ignored and may have any numbers
     """
 
@@ -54,8 +54,8 @@ class Stream:
 class StreamReport:
     """Quality of a stream.
 
-    packets: number of packets; period_s: median time between two packets [s]; jitter_s: standard deviation about it,
-        without dropouts [s]
+    packets: number of packets; period_s: median time between two packets [s]; jitter_s: standard deviation of this
+        time, without dropouts [s]
     dropouts: number of gaps without packets or without a hand; longest_s: longest gap [s]; lost: share of the total
         time in gaps
     reordered: number of packets out of order; repeated: number of packets with a repeated time
@@ -74,7 +74,7 @@ class StreamReport:
 
 
 def stream_report(stream: Stream) -> StreamReport:
-    """Return dropouts, jitter and order of a stream."""
+    """Return the dropouts, the jitter and the order of the packets of a stream."""
     late = stream.times_s[1:] < np.maximum.accumulate(stream.times_s)[:-1]
     in_order = ordered(stream)
     times = in_order.times_s
@@ -98,7 +98,7 @@ def stream_report(stream: Stream) -> StreamReport:
 
 
 def ordered(stream: Stream) -> Stream:
-    """Return the packets in the order of their times; of packets with equal times, only the first that came."""
+    """Return the packets in the order of their times. Of packets with equal times, only the first to arrive is kept."""
     _, order = np.unique(stream.times_s, return_index=True)
     return Stream(
         stream.times_s[order],
@@ -112,9 +112,11 @@ def ordered(stream: Stream) -> Stream:
 def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = None) -> Stream:
     """Return the stream with unit quaternions; invalid joints get a quaternion of 1, 0, 0, 0 and position 0.
 
-    what: prefix of error messages; places: name of each packet in them. Raises SceneError for other shapes, fewer than
-    two packets of different times, times that are not finite, joints flagged as valid with numbers that are not finite,
-    a quaternion of length 0 or a radius that is not positive, and for sizes that are not those of a hand in metres.
+    what: prefix of error messages
+    places: name of each packet in error messages
+    Raises SceneError for other shapes, for fewer than two different times, and for times that are not finite. Raises
+    SceneError also if a joint flagged as valid has numbers that are not finite, a quaternion of length 0, or a radius
+    that is not positive, and if the sizes are not those of a hand in metres.
     """
     n, j = len(stream.times_s), len(JOINTS)
     names = places or [f"packet {k + 1}" for k in range(n)]
@@ -200,7 +202,7 @@ def write_stream(path: str | Path, stream: Stream) -> None:
 
 
 def column_names() -> list[str]:
-    """Return the columns of the table of a stream: time, and then by joint."""
+    """Return the column names of the table of a stream: the time, and then the columns of each joint."""
     return ["time_s", *(f"{joint}_{part}" for joint in JOINTS for part in PARTS)]
 
 

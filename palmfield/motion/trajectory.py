@@ -24,10 +24,10 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 def read_trajectory(path: str | Path, hand: ArticulatedHand) -> Curve:
-    """Read the motion from a CSV or NPZ table; it is interpolated by `Curve`, and at rest before and after.
+    """Read a motion from a CSV or NPZ table. It is interpolated by `Curve`, and at rest before and after.
 
     Columns (arrays of one length in an NPZ), in any order: time_s; x_m, y_m, z_m or x_mm, y_mm, z_mm; qw, qx, qy, qz of
-    any length; JOINT_deg or JOINT_rad for the joints that leave their rest angle. Two or more rows.
+    any length; JOINT_deg or JOINT_rad for the joints that leave their rest angle. At least two rows are required.
     Raises SceneError for a file that cannot be read and for a missing, unknown or repeated column. For text, NaN, times
     that do not increase, a quaternion of length 0 and a joint out of its range, the error also names line (NPZ: row)
     and column.
@@ -123,9 +123,11 @@ def write_trajectory(path: str | Path, hand: ArticulatedHand, times: ArrayLike, 
 
 
 class Scripted:
-    """A motion by a function whose results are checked. span_s: that of the function, or from -inf to inf.
+    """A motion by a function whose results are checked.
 
-    rates: attribute of the function with its derivatives (`palmfield.motion.rates.HandRates`) by time [s], or None
+    span_s: first and last time of the function [s], or -inf and inf
+    rates: attribute of the function that gives its derivatives (`palmfield.motion.rates.HandRates`) by time [s], or
+        None
     """
 
     def __init__(self, function: Callable[[float], HandPose], name: str, hand: ArticulatedHand | None) -> None:
@@ -154,7 +156,7 @@ class Scripted:
 
 
 def from_callable(function: str | Callable[[float], HandPose], hand: ArticulatedHand | None = None) -> Scripted:
-    """Return the motion of a function of time [s] that returns a HandPose, or a tuple of its three parts.
+    """Return the motion that a function of time [s] describes. It returns a HandPose, or a tuple of its parts.
 
     function: function, or "package.module:function"; hand: hand with the allowed joints and ranges
     Raises SceneError if the function is not found; its results are checked when the motion is evaluated.

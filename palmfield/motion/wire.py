@@ -51,7 +51,7 @@ class Sample(NamedTuple):
 
 
 def read_sample(line: str | bytes) -> Sample:
-    """Read the sample in a line. Raises BadLine: garbled, convention, joints, numbers, lost or unit."""
+    """Read the sample in a line. Raises BadLine of kind garbled, convention, joints, numbers, lost or unit."""
     value = read_object(line)
     convention = value.get("convention")
     if convention not in CONVENTIONS:
@@ -84,7 +84,7 @@ def read_sample(line: str | bytes) -> Sample:
 
 
 def write_sample(sample: Sample, convention: Convention = "openxr", hand: str = "right") -> str:
-    """Return the line of a sample without line end. A sample without valid joints is that of a lost hand."""
+    """Return the line of a sample, without line end. A sample without valid joints is written as a lost hand."""
     valid = (sample.flags & POSITION_VALID) != 0
     head: dict[str, Any] = {"convention": convention}
     if convention == "openxr":
@@ -119,8 +119,11 @@ def _openxr(value: dict[str, Any]) -> dict[str, Joint]:
 
 
 def _leapc(value: dict[str, Any]) -> dict[str, Joint]:
-    """Return the OpenXR joints of LEAP_HAND. The joint of a bone nearer to the wrist has the name of the bone. The
-    metacarpal of the thumb has no length in LeapC; its proximal bone is the metacarpal of OpenXR."""
+    """Return the OpenXR joints of a LEAP_HAND.
+
+    The joint of a bone that is nearer to the wrist has the name of the bone. In LeapC the metacarpal of the thumb has
+    no length; its proximal bone is the metacarpal of OpenXR.
+    """
     joints: dict[str, Joint] = {
         "palm": (_metres(value["palm"]["position"]), value["palm"].get("orientation"), None),
         "wrist": (_metres(value["arm"]["next_joint"]), value["arm"].get("rotation"), None),
@@ -166,7 +169,7 @@ def _places(digit: str) -> tuple[str, ...]:
 
 
 def _first(digit: str) -> int:
-    """Return the number of the bone of LEAP_DIGIT that is the first bone of OpenXR."""
+    """Return the number of the bone of a LEAP_DIGIT that is the first bone in OpenXR."""
     return 1 if digit == "thumb" else 0
 
 

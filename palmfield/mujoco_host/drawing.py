@@ -13,17 +13,22 @@ from palmfield.mujoco_host.structs import mirror
 from palmfield.types import Float, Int
 
 GLOW = 0.6
-"""Fraction of the colour of a shape that needs no light, since colours represent numbers, also in shadow."""
+"""Share of the colour of a shape that is shown without light.
+
+Colours represent numbers, so they must show in shadow.
+"""
 LABEL = 100
 SPARE = 200
-"""Number of shapes reserved for MuJoCo in addition to the geoms: joints, contacts, lights, selection."""
+"""Number of shapes, in addition to the geoms, that MuJoCo itself needs: joints, contacts, lights, selection."""
 
 
 class Drawing:
-    """A scene that MuJoCo is about to draw. If there is no room for a shape, it and all later ones are omitted.
+    """A scene that MuJoCo is about to draw.
 
-    MuJoCo calls plugins before it adds the shapes of the model, for which room is reserved. Positions are in the world
-    [m], colours red, green, blue and opacity from 0 to 1.
+    If a shape does not fit in the list, this shape and all later ones are omitted.
+
+    MuJoCo calls plugins before it adds the shapes of the model; room for these is reserved. Positions are in the world
+    [m]. Colours are red, green, blue and opacity, from 0 to 1.
     """
 
     def __init__(self, model: ModelView, scene: int, options: int):
@@ -33,7 +38,7 @@ class Drawing:
         self._options = mirror("mjvOption").from_address(options)
 
     def shows(self, kind: Literal["geom", "site"], group: int) -> bool:
-        """Return whether a group of geoms or sites is switched on in the viewer."""
+        """Return whether the viewer shows a group of geoms or sites."""
         return bool(getattr(self._options, f"{kind}group")[group])
 
     @property

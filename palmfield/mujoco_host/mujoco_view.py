@@ -15,7 +15,10 @@ from palmfield.types import Float
 
 SOLIDS = ("box", "capsule", "cylinder", "ellipsoid", "sphere")
 Geom = tuple[str, tuple[Any, ...], tuple[float, ...], tuple[float, ...]]
-"""Kind, size [m] as in MJCF (of a mesh its vertices and faces), position [m] and quaternion (w, x, y, z)."""
+"""Shape of a geom: kind, size [m] as in MJCF, position [m] and quaternion (w, x, y, z).
+
+A mesh has vertices and faces.
+"""
 Kind = Literal["body", "site", "geom", "joint", "actuator"]
 Field = Literal["ctrl", "qpos", "qvel", "mocap_pos", "mocap_quat"]
 Write = tuple[Field, list[int], Float]
@@ -33,7 +36,7 @@ _COUNT = {"joint": "njnt", "actuator": "nu"}
 class ModelView:
     """Read-only view of the mjModel at an address.
 
-    complete: False while MuJoCo compiles it and calls for state sizes; custom numbers and texts are then missing
+    complete: False while MuJoCo compiles the model and requests state sizes; custom numbers and texts are then missing
     """
 
     def __init__(self, address: int, complete: bool = True):
@@ -46,7 +49,10 @@ class ModelView:
         return float(self.raw.opt.timestep)
 
     def find(self, kind: Kind, name: str, element: str) -> int:
-        """Return the number of a named object. Raises SceneError with `element` if the scene has none of that name."""
+        """Return the number of a named object.
+
+        Raises SceneError with `element` if the scene has no object of that name.
+        """
         number = library().mj_name2id(self.address, int(_OBJECT[kind]), name.encode())
         if number < 0:
             names = self.names(kind)
@@ -73,12 +79,12 @@ class ModelView:
         return result
 
     def numeric(self, name: str, default: float) -> float:
-        """Return the first number of a custom numeric, or the default if there is none of that name."""
+        """Return the first number of a custom numeric, or the default if no custom numeric has that name."""
         number = library().mj_name2id(self.address, int(mujoco.mjtObj.mjOBJ_NUMERIC), name.encode())
         return default if number < 0 else float(self.raw.numeric_data[self.raw.numeric_adr[number]])
 
     def text(self, name: str, default: str) -> str:
-        """Return a custom text, or the default if there is none of that name."""
+        """Return a custom text, or the default if no custom text has that name."""
         number = library().mj_name2id(self.address, int(mujoco.mjtObj.mjOBJ_TEXT), name.encode())
         if number < 0:
             return default
@@ -178,9 +184,9 @@ def mocap_offsets(mocap: int) -> tuple[list[int], list[int]]:
 
 
 class DataView:
-    """One mjData with its model. Arrays are views of MuJoCo's present values.
+    """One mjData with its model. Arrays are views of the present values in MuJoCo.
 
-    Views are only of arrays in the buffer of mjData; its arena moves from step to step.
+    Only arrays in the fixed buffer of mjData have views, because the arena of mjData moves from step to step.
     """
 
     def __init__(self, model: int, data: int):
@@ -192,7 +198,7 @@ class DataView:
             "body": (self._view("xpos", counts.nbody, 3), self._view("xmat", counts.nbody, 9)),
             "site": (self._view("site_xpos", counts.nsite, 3), self._view("site_xmat", counts.nsite, 9)),
         }
-        """World positions [m], shape (n, 3), and rotation matrices by row, shape (n, 9), of bodies and sites."""
+        """World positions [m], shape (n, 3), and row-major rotation matrices, shape (n, 9), of bodies and of sites."""
         sizes = {"ctrl": counts.nu, "qpos": counts.nq, "qvel": counts.nv}
         sizes |= {"mocap_pos": 3 * counts.nmocap, "mocap_quat": 4 * counts.nmocap}
         self._fields = {name: self._view(name, size, 1)[:, 0] for name, size in sizes.items()}
@@ -213,7 +219,10 @@ class DataView:
             self._fields[field][offsets] = values
 
     def state(self, instance: int) -> Float:
-        """Return the plugin state of an instance, shape (n,). It is in mjData: MuJoCo copies, resets and saves it."""
+        """Return the plugin state of an instance, shape (n,).
+
+        It is a part of mjData, so MuJoCo copies, resets and saves it.
+        """
         count = int(self.model.raw.plugin_statenum[instance])
         if count == 0:
             return np.zeros(0)
@@ -238,9 +247,12 @@ class DataView:
 
 
 class PluginSensor(NamedTuple):
-    """A sensor of a plugin instance. kind: kind of the object it is attached to, "site", "body" or ""; target: its
-    number;
-    data: view of its values, shape (channels,), at `offsets` in the sensor data"""
+    """A sensor of a plugin instance.
+
+    kind: kind of the object to which the sensor is attached: "site", "body" or ""
+    target: number of this object
+    data: view of the values, shape (channels,), at `offsets` in the sensor data
+    """
 
     name: str
     kind: str
@@ -250,9 +262,9 @@ class PluginSensor(NamedTuple):
 
 
 class ForceOutlet:
-    """Adds forces at the origins of some bodies to MuJoCo's passive forces; buffers are made once.
+    """Adds forces at the origins of some bodies to MuJoCo's passive forces. Its buffers are allocated once.
 
-    forces: [N], torques: about the bodies' origins [N m], world axes, shapes (b, 3): to be set before `apply`
+    forces [N], torques about the body origins [N m]: world axes, shapes (b, 3); set them before `apply`
     """
 
     def __init__(self, view: DataView, bodies: Sequence[int]):

@@ -1,4 +1,4 @@
-"""ctypes mirrors of MuJoCo's C structs, built from the descriptions that ship in its wheel."""
+"""ctypes copies of MuJoCo's C structs, built from the descriptions in the wheel of MuJoCo."""
 
 import ctypes
 from functools import cache

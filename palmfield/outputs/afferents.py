@@ -10,9 +10,10 @@ from palmfield.types import Float, Int
 
 
 def spikes_of(skin: xr.Dataset) -> dict[str, tuple[Float, Int]]:
-    """Return for each class of afferents that is present the times of its spikes [s] and their numbers, both (m,).
+    """Return the spike times [s] and the numbers of the afferents that fire, both (m,), for each class of afferents.
 
-    skin: group of a skin with `afferent_motion`. Times are from the start of the run; numbers are along `afferent`.
+    skin: group of a skin with `afferent_motion`
+    Times are measured from the start of the run; numbers are indices along `afferent`.
     """
     times, classes = skin["time"].values.astype(float), skin["afferent_class"].values
     step_s, result = float(times[1] - times[0]), {}
@@ -25,7 +26,7 @@ def spikes_of(skin: xr.Dataset) -> dict[str, tuple[Float, Int]]:
 
 
 def mean_rates(skin: xr.Dataset, fired: Mapping[str, tuple[Float, Int]]) -> Float:
-    """Return the mean rate of each afferent over the run [spikes/s], shape (n,). fired: spikes by `spikes_of`"""
+    """Return the mean rate of each afferent over the run [spikes/s], shape (n,). fired: result of `spikes_of`"""
     lasts_s = float(skin["time"].values[-1] - skin["time"].values[0])
     numbers = np.concatenate([numbers for _, numbers in fired.values()])
     return np.bincount(numbers, minlength=skin.sizes["afferent"]) / lasts_s

@@ -17,7 +17,7 @@ SHOWN = 5e-4
 
 
 def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
-    """Return the uncertainty of the response of a skin under the focus, in three kinds that are not added."""
+    """Return the uncertainty of the response of a skin under the focus. Its three kinds are separate and not added."""
     velocity = skin.get("reduction_velocity_error_relative")
     of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"
     parts = [
@@ -40,7 +40,7 @@ def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
 
 
 def figures(value: float, band: float) -> str:
-    """Format a number with the digits that its relative band allows: 2 above 5 %, 3 above 0.5 %, else 4."""
+    """Format a number with as many digits as its relative band allows: 2 above 5 %, 3 above 0.5 %, else 4."""
     digits = 2 if band > COARSE else 3 if band > COARSE / 10 else 4
     text = f"{value:.{digits}g}"
     return f"{float(text):.0f}" if "e" in text and 1.0 <= abs(value) < 1e6 else text
@@ -52,7 +52,7 @@ def widest(budget: Mapping[str, Any] | None) -> float:
 
 
 def input_parts(skin: Mapping[str, Any], without: Sequence[str] = ()) -> list[Part]:
-    """Return the inputs with a known range, and their displacement factors. without: excluded inputs"""
+    """Return the inputs with a known range, each with its displacement factors. without: inputs to exclude"""
     parts = {one["what"]: (one["low"], one["high"]) for one in _ranges(skin.get("error_budget") or {"inputs": ()})}
     if "p0_band_low" in skin:
         parts = {"p0": (skin["p0_band_low"], skin["p0_band_high"])} | parts
@@ -60,9 +60,9 @@ def input_parts(skin: Mapping[str, Any], without: Sequence[str] = ()) -> list[Pa
 
 
 def combined(parts: Sequence[Part]) -> tuple[float, float]:
-    """Combine inputs into one band, as factors: root sum of squares of their logarithms, for each side separately.
+    """Combine inputs into one band, as factors: root sum of squares of their logarithms, separately for each side.
 
-    This holds for independent inputs with multiplicative effects.
+    This is valid for independent inputs with multiplicative effects.
     """
     lows, highs = [low for _, low, _ in parts], [high for _, _, high in parts]
     low = 0.0 if min(lows, default=1.0) <= 0.0 else math.exp(-math.hypot(*(math.log(min(one, 1.0)) for one in lows)))
@@ -80,7 +80,7 @@ def _largest(bias: Mapping[str, Any]) -> float:
 
 
 def largest_omitted(budget: Mapping[str, Any] | None) -> str:
-    """Return the largest bias of ignored effects, as text after a semicolon; empty if none is significant."""
+    """Return the largest bias due to ignored effects, as text after a semicolon; empty if no bias is significant."""
     significant = _significant(budget) if budget else []
     if not significant:
         return ""
@@ -89,7 +89,7 @@ def largest_omitted(budget: Mapping[str, Any] | None) -> str:
 
 
 def _significant(budget: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the significant ignored effects."""
+    """Return the ignored effects that are significant."""
     return [one for one in budget["left_out"] if one["low"] is not None and _largest(one) > SHOWN]
 
 
@@ -109,7 +109,7 @@ def bias_text(low: float, high: float) -> str:
 
 
 def in_a_line(budget: Mapping[str, Any] | str | None) -> str:
-    """Return the largest parts of a budget in one line, for pictures; empty without a budget."""
+    """Return the largest parts of a budget in one line, for pictures. The line is empty without a budget."""
     if not isinstance(budget, Mapping):
         return ""
     parts = [f"numerical {figures(100 * budget['numerical']['displacement_error_relative'], 1.0)} %"]
@@ -120,5 +120,5 @@ def in_a_line(budget: Mapping[str, Any] | str | None) -> str:
 
 
 def of_full(level: float) -> str:
-    """Describe a drive level relative to full drive."""
+    """Describe a drive level as a part of full drive."""
     return f"{level:.3f} of full" if level == 0.0 or level >= 1e-3 else f"{level:.2g} of full"

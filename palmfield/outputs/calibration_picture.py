@@ -68,7 +68,7 @@ def _ends(values: Float) -> tuple[float, float]:
 
 
 def _marker(array: Array) -> float:
-    """Return the area of a marker [points^2] at which neighbours nearly touch in a map of 3.4 inches."""
+    """Return the marker area [points^2] at which neighbours nearly touch in a map of 3.4 inches."""
     extent = float(np.ptp(array.positions[:, :2], axis=0).max()) or 1.0
     pitch = extent / math.sqrt(len(array))
     return float(np.clip((0.8 * 72.0 * 3.0 * pitch / extent) ** 2, 2.0, 400.0))

@@ -1,4 +1,4 @@
-"""Choose the camera of the picture of a scene."""
+"""Choose the camera for the picture of a scene."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ MARGIN = 0.05
 
 
 class Camera(NamedTuple):
-    """A pinhole camera: eye [m], unit axes in the world, and projection to the picture.
+    """A pinhole camera: position of the eye [m], unit axes in the world, and projection to the picture.
 
     focal: distance of the picture plane [pixels]; centre: principal point, (column, row)
     """
@@ -40,8 +40,8 @@ def look_along_emission(
 
     points: [m] in the world, shape (n, 3); array_pose: shape (7,); window: left, top, width, height [pixels]
     azimuth_deg: azimuth of the view, about the z axis of the array
-    The view is obliquely along +z of the array, so that array and target are side by side. The z axis of the world
-    points up.
+    The camera looks obliquely along +z of the array, so that array and target appear next to each other. The world z
+    axis points up in the picture.
     """
     x, y, z = axes(array_pose)
     azimuth, slant = np.radians(azimuth_deg), np.radians(SLANT_DEG)

@@ -13,12 +13,12 @@ from palmfield.instruments.scan import Scan
 from palmfield.outputs.style import COLOURS, LINES, save, style
 
 DEPTH = 1e-2
-"""Smallest drawn amplitude relative to the largest."""
+"""Smallest drawn amplitude, relative to the largest amplitude."""
 SHOWN = {"displacement": (1e6, "displacement [um]"), "velocity": (1e3, "velocity [mm/s]")}
 
 
 def draw_agreement(measured: Scan, computed: Scan, numbers: Agreement, path: Path) -> Path:
-    """Draw a PNG of the signal at the point of largest motion and maps of the agreement; return its path."""
+    """Draw a PNG with the signal at the point of largest motion and maps of the agreement; return its path."""
     flat = 1e3 * on_plane(measured.points)
     loud = numbers.level >= 0.1
     with style():
@@ -56,7 +56,7 @@ def draw_agreement(measured: Scan, computed: Scan, numbers: Agreement, path: Pat
 
 
 def draw_wavenumbers(measured: FrequencyWavenumber, computed: FrequencyWavenumber, path: Path) -> Path:
-    """Draw a PNG of amplitude over frequency and wavenumber, a panel for each scan; return its path."""
+    """Draw a PNG of amplitude over frequency and wavenumber, one panel per scan; return its path."""
     with style():
         figure = Figure(figsize=(9.6, 4.2), dpi=150, layout="constrained")
         axes = figure.subplots(1, 2, sharex=True, sharey=True)

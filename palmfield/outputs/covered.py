@@ -1,4 +1,4 @@
-"""Lower a body beneath its skins for drawing, so that it neither shows through them nor leaves a gap."""
+"""Lower the drawn surface of a body below its skins, so that it neither shows through nor leaves a gap."""
 
 from typing import NamedTuple
 
@@ -13,19 +13,20 @@ from palmfield.hand.triangles import on_rim
 from palmfield.types import Float, Int
 
 COVERED_M = 4e-3
-"""Largest distance of a body vertex below a skin that the skin covers [m]; coarse skins are not exactly on the body."""
+"""Largest distance [m] at which a body vertex below a skin counts as covered. Coarse skins deviate from the body."""
 EDGE_M = 2e-3
-"""Spacing of skin points to which distances are computed [m]."""
+"""Spacing of the skin points to which distances are computed [m]."""
 SUNK_M = 4e-3
-"""Depth of a covered vertex below the skin [m], more than the largest magnified motion. It decreases to the rim."""
+"""Depth of a covered vertex below the skin [m]; larger than the largest magnified motion. It decreases to the rim."""
 SLOPE = 0.3
 
 
 class Under(NamedTuple):
-    """Vertices of a body that skins cover; all arrays of shape (c,).
+    """Vertices of a body that skins cover. All arrays have shape (c,).
 
-    vertex: their numbers; skin, node: nearest skin and its nearest node
-    depth_m: displacement of each against the outward normal of this node [m]
+    vertex: number of each vertex
+    skin, node: number of the nearest skin and of its nearest node
+    depth_m: displacement of each vertex against the outward normal of this node [m]
     """
 
     vertex: Int
@@ -37,9 +38,9 @@ class Under(NamedTuple):
 def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
     """Return the vertices of a body that its skins cover, and the depths at which they are drawn.
 
-    points: points of the body at rest [m], (n, 3); skins: nodes [m] (s, 3), triangles (f, 3) and outward normals (s,
-    3) of each The depth is SLOPE times the distance to the rim of the skin, at most SUNK_M, so that body and skin meet
-    at the rim.
+    points: points of the body at rest [m], shape (n, 3)
+    skins: for each skin its nodes [m], shape (s, 3), triangles (f, 3) and outward normals (s, 3)
+    The depth is SLOPE times the distance to the rim of the skin, at most SUNK_M. So body and skin meet at the rim.
     """
     found = [Under(*(np.zeros(0, np.int32),) * 3, np.zeros(0))]
     free: NDArray[np.bool_] = np.ones(len(points), np.bool_)
@@ -61,10 +62,10 @@ def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
 
 
 def sunk(surface: xr.Dataset, skins: list[xr.Dataset]) -> xr.Dataset:
-    """Return the surface of a body with rest positions lowered below skins.
+    """Return the surface of a body whose rest positions are lowered below the skins.
 
-    surface: as returned by `instances(result, "surface")`; skins: as returned by `instances(result, "skin")`, on the
-    same body
+    surface: one of `instances(result, "surface")`
+    skins: those of `instances(result, "skin")` that are on the same body
     """
     points: Float = surface["rest_position"].values.astype(float)
     shapes = [(skin["rest_position"].values, skin["face"].values, skin["rest_normal"].values) for skin in skins]
@@ -81,7 +82,7 @@ def smooth_normals(points: Float, faces: Int) -> Float:
 
 
 def _dense(vertices: Float, faces: Int) -> tuple[Float, NDArray[np.bool_]]:
-    """Return points that cover a mesh densely, and which of them are on its rim."""
+    """Return points that cover a mesh densely, and a mask of the points on its rim."""
     points, corners = subdivide_to_size(vertices, faces, EDGE_M)
     points, which = np.unique(points.round(9), axis=0, return_inverse=True)
     corners = which.ravel()[corners]

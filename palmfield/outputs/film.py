@@ -1,4 +1,4 @@
-"""Make a film of a run: the skin with its motion or ARP in colour, slowed down and magnified."""
+"""Make a video of a run: the skin with its motion or ARP in colour, slowed down and magnified."""
 
 import contextlib
 import importlib
@@ -36,18 +36,21 @@ DISPLAYED_M = 2e-3
 """Displayed size of the largest motion at the default magnification [m]."""
 QUALITY = (1, 3)
 DPI, DRAWN_FOR = 100, (800, 600)
-"""Resolution of text [pixels per inch] for a picture of this size; text scales with the picture."""
+"""Resolution of text [pixels per inch], and the picture size for which it applies. Text scales with the picture."""
 POSES = 16
 """Number of times at which the camera must see all skins."""
 
 
 @dataclass(frozen=True)
 class Cut:
-    """Contents of a film. start_s, end_s: part of the run [s], None for its ends; slow: slow-motion factor
+    """Contents of a video.
 
+    start_s, end_s: part of the run [s], None for its ends
+    slow: slow-motion factor
     magnify: factor of the motion along the normal; None shows the largest motion as DISPLAYED_M
     shown: quantity of the colours, one of SHOWN
-    limits: limits of the colour scale, in the unit of `shown`; size: width and height [pixels], even
+    limits: limits of the colour scale, in the unit of `shown`
+    size: width and height [pixels], even numbers
     """
 
     start_s: float | None = None
@@ -60,7 +63,10 @@ class Cut:
 
 
 class _Look(NamedTuple):
-    """Data that all frames share. around: surface of each body, lowered below its skins, by the name of one skin"""
+    """Data that all frames share.
+
+    around: surface of each body, lowered below its skins, by the name of one of its skins
+    """
 
     skins: dict[str, xr.Dataset]
     around: dict[str, xr.Dataset]
@@ -74,12 +80,13 @@ class _Look(NamedTuple):
 def film(
     result: xr.DataTree, path: str | Path, cut: Cut | None = None, on_frame: Callable[[int, int], None] | None = None
 ) -> int:
-    """Write an MP4 (H.264) of the skins of a run; return its number of frames.
+    """Write an MP4 video (H.264) of the skins of a run; return the number of frames.
 
-    result: as returned by `open_result`, with displacement of at least one skin; on_frame: called with the numbers of
-    completed and of all frames The camera sees all skins at all times. Ctrl-C ends the film early; the finished part
-    can be played. Raises OutputError for times outside the run, invalid numbers, a result without motion, if PyAV is
-    missing (extra `video`), and if `path` cannot be written.
+    result: as returned by `open_result`, with the displacement of at least one skin
+    on_frame: function that is called with the number of completed frames and the number of all frames
+    The camera sees all skins at all times. Ctrl-C ends the video early; the finished part can be played.
+    Raises OutputError for times outside the run, invalid numbers, and a result without motion. Raises OutputError also
+    if PyAV is missing (extra `video`), and if `path` cannot be written.
     """
     settings = cut or Cut()
     file = Path(path)
@@ -159,7 +166,7 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
 
 
 class _Frame:
-    """Canvas that is redrawn for each frame."""
+    """Canvas that is redrawn for each frame of the video."""
 
     def __init__(self, look: _Look, cut: Cut) -> None:
         self._look, self._cut = look, cut
@@ -225,7 +232,7 @@ class _Frame:
         return (mixed + 0.5).astype(np.uint8)
 
     def _draw_scale(self, points: Float) -> None:
-        """Draw a bar of a round length at the distance of the centre of the skin."""
+        """Draw a scale bar with a round length, at the distance of the centre of the skin."""
         camera, middle = self._look.camera, points.mean(axis=0)
         ends = camera.project(np.stack([middle, middle + 0.01 * camera.right]))
         pixels_a_cm = float(np.linalg.norm(ends[1] - ends[0]))
@@ -239,7 +246,7 @@ class _Frame:
 
 @contextlib.contextmanager
 def _encoder(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Any], None]]:
-    """Yield a function that writes pictures, uint8, shape (height, width, 3); an interrupted film can be played."""
+    """Yield a function that writes pictures, uint8, shape (height, width, 3). An interrupted video can be played."""
     try:
         av = importlib.import_module("av")
     except ImportError:

@@ -37,7 +37,7 @@ def nearest(times_s: Float, time_s: float) -> int:
 
 
 def drive_frames(starts_s: Float, times_s: Float) -> Int:
-    """Return the indices of the drive frames at times [s]: the last one that has begun, or else the first."""
+    """Return the indices of the drive frames at times [s]: the last frame that has begun, or the first one."""
     return np.maximum(0, np.searchsorted(starts_s, times_s + 1e-9, "right") - 1).astype(np.int32)
 
 
@@ -53,10 +53,10 @@ def check_time(option: str, time_s: float, first_s: float, last_s: float) -> Non
 
 
 def poses_at(group: xr.Dataset | None, times_s: Float) -> Float:
-    """Return poses of an array or a body at the MuJoCo steps nearest to times [s], shape (n,) -> (n, 7).
+    """Return the poses of an array or a body at the MuJoCo steps nearest to times [s], shape (n,) -> (n, 7).
 
-    group: one of `instances(result, "array")` or `instances(result, "body")`. Poses are the identity if it is None (not
-    in the result) or has no steps
+    group: one of `instances(result, "array")` or `instances(result, "body")`; None if the result does not contain it
+    If the group is None or has no steps, the poses are the identity.
     """
     if group is None or not has_records(group, "pose"):
         return np.tile(IDENTITY, (len(times_s), 1))
@@ -87,12 +87,17 @@ def posed(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
 
 
 def in_world(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
-    """Return `posed` in the world."""
+    """Return the result of `posed` in the world frame."""
     return to_world(posed(mesh, body, time_s), pose_at(body, time_s))
 
 
 class Loudest(NamedTuple):
-    """Moment of the largest ARP on a skin. time_s: [s], 0 for a silent run; place: index along `time`; arp_Pa: [Pa]"""
+    """Moment of the largest ARP on a skin.
+
+    time_s: time [s], 0 for a silent run
+    place: index along `time`
+    arp_Pa: the largest ARP [Pa]
+    """
 
     time_s: float
     place: int
@@ -116,9 +121,9 @@ def loudest(skin: xr.Dataset) -> Loudest:
 
 
 def bodies(result: xr.DataTree) -> dict[str, list[str]]:
-    """Group skins by body, in the order of the scene.
+    """Group the skins by body, in the order of the scene.
 
-    The attribute `body` of group /body of a skin names the body; a skin without it has a separate body.
+    The attribute `body` of group /body of a skin names the body. A skin without this attribute has a body of its own.
     """
     skins: dict[str, list[str]] = {}
     groups = instances(result, "body")
@@ -129,7 +134,7 @@ def bodies(result: xr.DataTree) -> dict[str, list[str]]:
 
 
 def arrays_of(stimulus: xr.Dataset, arrays: list[str]) -> list[str]:
-    """Return the names of the arrays of a stimulus, from its attribute `arrays`, or else of all arrays."""
+    """Return the names of the arrays of a stimulus: those in its attribute `arrays`, or else all arrays."""
     stored = stimulus.attrs.get("arrays")
     chosen = json.loads(stored) if isinstance(stored, str) else stored
     return arrays if chosen is None else [name for name in chosen if name in arrays]

@@ -65,20 +65,23 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
 
 
 FLOOR_DB = -40.0
-"""Lower limit of levels over time [dB SL]; lower values, and rest, are set to it."""
+"""Lower limit of levels over time [dB SL]. Lower levels, and rest, are set to this value."""
 WINDOW_PERIODS = 2
 
 
 class LevelCourse:
-    """Level above threshold at each vertex of a skin, by one observer, in successive windows of a run.
+    """Level above threshold at each vertex of a skin, for one observer, in successive windows of a run.
 
-    frequencies_Hz: evaluated lines; window_s: length of a window, WINDOW_PERIODS periods of the lowest line. Each
-    window is assumed to be periodic, and each vertex is treated separately. The motion of only one window is in memory.
+    frequencies_Hz: evaluated lines
+    window_s: length of a window, WINDOW_PERIODS periods of the lowest line
+    The motion in each window is assumed to be periodic, and each vertex is treated separately. The motion of only one
+    window is in memory.
     """
 
     def __init__(self, skin: xr.Dataset, observer: str, frequencies_Hz: list[float]):
-        """skin: as returned by `instances(result, "skin")`. Raises OutputError for a skin whose record has no usable
-        line.
+        """skin: as returned by `instances(result, "skin")`
+
+        Raises OutputError for a skin whose record has no usable line.
         """
         self._skin, self._observer = skin, OBSERVERS[observer]
         times = skin["time"].values.astype(float)
@@ -95,7 +98,10 @@ class LevelCourse:
         self._cached: dict[int, Float32] = {}
 
     def window_at(self, time_s: float) -> int:
-        """Return the window that contains a time [s]; the last complete window for the rest at the end."""
+        """Return the window that contains a time [s].
+
+        For the incomplete rest at the end, return the last complete window.
+        """
         return min(self.count - 1, max(0, int((time_s - self._begin) / self.window_s + 1e-9)))
 
     def levels(self, window: int) -> Float32:

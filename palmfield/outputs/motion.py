@@ -1,4 +1,4 @@
-"""Read the motion of skins in a result piece by piece: components along the normal, extremes over time."""
+"""Read the motion of skins from a result piece by piece: components along the normal, and extremes over time."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -12,7 +12,7 @@ PIECE_BYTES = 16_000_000
 
 
 def pieces(skin: xr.Dataset, name: str, times: slice = slice(None)) -> Iterator[tuple[slice, Float32]]:
-    """Yield a variable along `time` in pieces of 16 MB: indices along the chosen times, and values there.
+    """Yield a variable along `time` in pieces of 16 MB: indices along the chosen times, and the values at them.
 
     skin: one of `instances(result, "skin")`; times: slice with a positive step
     """
@@ -28,7 +28,7 @@ def pieces(skin: xr.Dataset, name: str, times: slice = slice(None)) -> Iterator[
 def normal_pieces(
     skin: xr.Dataset, name: str = "displacement", times: slice = slice(None)
 ) -> Iterator[tuple[slice, Float32]]:
-    """Yield `pieces` of the component along the outward normal at rest, shape (times, vertices)."""
+    """Yield the pieces of `pieces` as components along the outward normal at rest, shape (times, vertices)."""
     normals = skin["rest_normal"].values.astype(np.float32)
     for place, values in pieces(skin, name, times):
         yield place, np.einsum("tvi,vi->tv", values, normals)
@@ -37,8 +37,8 @@ def normal_pieces(
 def normal_component(skin: xr.Dataset, name: str = "displacement", times: slice = slice(None)) -> xr.DataArray:
     """Return displacement [m] or velocity [m/s] along the outward normal at rest, shape (time, vertex), float32.
 
-    skin: one of `instances(result, "skin")`; name: `displacement` or `velocity`; times: slice, all by default
-    Motion into the skin is negative. Vectors are read in pieces, so that only the component is in memory.
+    skin: one of `instances(result, "skin")`; name: `displacement` or `velocity`; times: slice, all by default Motion
+    into the skin is negative. Vectors are read in pieces, so only this component is in memory.
     """
     chosen = skin["time"].isel(time=times)
     out = np.empty((len(chosen), skin.sizes["vertex"]), np.float32)
@@ -50,9 +50,11 @@ def normal_component(skin: xr.Dataset, name: str = "displacement", times: slice 
 
 
 class Extremes(NamedTuple):
-    """Extremes of a normal component over time at every vertex, shapes (vertices,).
+    """Extremes over time of a normal component at every vertex, shapes (vertices,).
 
-    peak: largest magnitude; when: its index along `time`; mean, mean_square: over time
+    peak: largest magnitude
+    when: index of the largest magnitude along `time`
+    mean, mean_square: means over time
     """
 
     peak: Float

@@ -1,7 +1,7 @@
-"""Write results as netCDF files without letting HDF5 write to a disk.
+"""Write results as netCDF files so that HDF5 never writes to a disk itself.
 
-HDF5 crashes the interpreter if the disk is full. Small files are made in memory. Large ones use a file object that
-keeps data that it cannot write, so that HDF5 gets no error and this module can raise one afterwards.
+HDF5 crashes the interpreter if the disk is full. So small files are made in memory. Large files use a file object that
+keeps the data that it cannot write. HDF5 then gets no error, and this module raises the error afterwards.
 """
 
 import io
@@ -22,10 +22,16 @@ from palmfield.outputs.schema import LABELS, PLACES, RECORDS, ROOT, Attributes, 
 from palmfield.types import json_value
 
 CHUNK_BYTES = 1_000_000
-"""Size of a compressed chunk. It fits the HDF5 cache of 1 MiB for each variable, so it is filled before compression."""
+"""Size of a compressed chunk [bytes].
+
+A chunk fits in the HDF5 cache of 1 MiB per variable, so it is full when compressed.
+"""
 SAMPLE, WORTHWHILE = 32_768, 0.67
-"""Values that are compressed on trial, and the share of their size below which a variable is compressed. Fields and
-motion keep about 0.8: their last digits are noise, which takes seconds to pack and to read."""
+"""Number of values that are compressed on trial, and size ratio below which a variable is stored compressed.
+
+Fields and motion have a ratio of about 0.8, because their last digits are noise. Compressing and reading them would
+take seconds.
+"""
 COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 NOT_A_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
 """Title of a scale without values."""
@@ -33,9 +39,9 @@ UNREADABLE = (OSError, ValueError, KeyError, RuntimeError, TypeError)
 
 
 class SpillingFile(io.RawIOBase):
-    """A file on disk whose writing never fails: if the disk is full, data stay in memory, and `lost` gives the reason.
+    """A file on disk whose writing never fails.
 
-    The writer must check `lost` and stop soon after a failure.
+    If the disk is full, data stay in memory, and `lost` contains the reason.
     """
 
     def __init__(self, path: Path) -> None:
@@ -87,7 +93,7 @@ class SpillingFile(io.RawIOBase):
         return self._length
 
     def flush(self) -> None:
-        """Do nothing: no data are buffered."""
+        """Do nothing, because no data are buffered."""
 
     def readable(self) -> bool:
         return True
@@ -111,10 +117,10 @@ class SpillingFile(io.RawIOBase):
 
 
 class ResultWriter:
-    """Writes groups, static variables, and the parts of record variables in succession.
+    """Writes groups, static variables, and successive parts of record variables.
 
-    Each group has its own dimensions. h5py writes their scales with the attributes of netCDF-4; h5netcdf takes three
-    times as long.
+    Each group has its own dimensions. h5py writes the dimension scales with the attributes of netCDF-4, because
+    h5netcdf takes three times as long.
     """
 
     def __init__(self, file: h5py.File, lengths: dict[str, int]) -> None:
@@ -140,7 +146,7 @@ class ResultWriter:
             self._scale("/", name, len(LABELS[name][0]))
 
     def put(self, arrays: Checked, start: dict[str, int]) -> None:
-        """Write variables; along a record dimension, write the part that begins at `start`."""
+        """Write variables. Of a variable along a record dimension, this writes the part that begins at `start`."""
         for path, variables in arrays.items():
             schema = variables_of(path)
             # Variables that are the coordinates of their dimension come before those that use it
@@ -152,7 +158,7 @@ class ResultWriter:
     def _put_times(
         self, path: str, dims: set[str | None], times: dict[str, NDArray[Any]], start: dict[str, int]
     ) -> None:
-        """Write the times of the records of a group, so that it can be opened without the root."""
+        """Write the record times of a group, so that the group can be opened without the root."""
         for dim in RECORDS:
             if dim in dims and dim in times:
                 self._fill(self._made(path, dim, ROOT[dim], times[dim]), ROOT[dim], times[dim], start)
@@ -171,7 +177,7 @@ class ResultWriter:
         return self._groups[path]
 
     def _made(self, path: str, name: str, variable: Variable, array: NDArray[Any]) -> Any:
-        """Return a variable of a group, made if it is new; array: its first part"""
+        """Return a variable of a group; a new variable is created. array: its first part"""
         if (path, name) not in self._variables:
             self._variables[path, name] = self._create(path, name, variable, array)
         return self._variables[path, name]
@@ -204,7 +210,7 @@ class ResultWriter:
         return made
 
     def _scale(self, path: str, dim: str, length: int) -> tuple[Any, int]:
-        """Return the scale of a dimension of a group and its number; a new one has times, names or no values."""
+        """Return the scale of a dimension of a group, and its number. A new scale has times, names or no values."""
         if (path, dim) in self._scales:
             return self._scales[path, dim]
         if dim in LABELS:
@@ -231,20 +237,20 @@ class ResultWriter:
 
 
 def _set_numbers(dataset: Any, dimensions: list[int], own: int | None = None) -> None:
-    """Set the numbers of the dimensions of a variable; own: of a scale"""
+    """Set the dimension numbers of a variable. own: number of the dimension, if the dataset is itself a scale"""
     if dimensions:
         dataset.attrs["_Netcdf4Coordinates"] = np.array(dimensions, np.int32)
     dataset.attrs["_Netcdf4Dimid"] = np.int32(dimensions[0] if own is None else own)
 
 
 def _set_attributes(thing: Any, attributes: Mapping[str, Any]) -> None:
-    """Set attributes of a group or variable as netCDF does: a number is an array of one."""
+    """Set attributes of a group or variable in the way of netCDF: a number becomes an array with one element."""
     for name, value in attributes.items():
         thing.attrs[name] = value if isinstance(value, str) else np.atleast_1d(value)
 
 
 def image(arrays: Checked, attributes: Attributes) -> bytes:
-    """Return an HDF5 file of some groups, as bytes, without the dimensions of netCDF, which take ten times as long."""
+    """Return an HDF5 file of some groups, as bytes. It has no netCDF dimensions, which would take ten times as long."""
     memory = io.BytesIO()
     with h5py.File(memory, "w", track_order=True) as file:
         for path in ordered(["/", *arrays, *attributes]):
@@ -261,8 +267,9 @@ def image(arrays: Checked, attributes: Attributes) -> bytes:
 def read_image(
     data: bytes | Path, *, static: bool = True, records: bool = True
 ) -> tuple[Checked, dict[str, dict[str, Any]]]:
-    """Read arrays and attributes of a result file, or of one made by `image`; static, records: which arrays.
+    """Read arrays and attributes of a result file, or of a file made by `image`.
 
+    static, records: whether to read arrays without and with a record dimension
     This uses h5py, because h5netcdf takes ten times as long to open a file.
     """
     arrays: Checked = {}
@@ -314,12 +321,12 @@ def read_attributes(path: Path) -> dict[str, Any] | None:
 
 
 def record_of(variable: Variable) -> str | None:
-    """Return the record dimension of a variable, which is its first, or None."""
+    """Return the record dimension of a variable, which is always its first dimension; None if it has none."""
     return variable.dims[0] if variable.dims and variable.dims[0] in RECORDS else None
 
 
 def joined(blocks: list[Checked]) -> Checked:
-    """Join blocks along the record dimension of each variable; of other variables keep the last."""
+    """Join blocks along the record dimension of each variable. Other variables keep the value of the last block."""
     parts: dict[str, dict[str, list[NDArray[Any]]]] = {}
     for block in blocks:
         for path, variables in block.items():
@@ -344,7 +351,7 @@ def storable(value: object) -> object:
 
 
 def _groups(file: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """Return the root and the groups of instances; the groups between them are empty."""
+    """Return the root and the groups of instances, without the empty groups between them."""
     if path == "/" or path.count("/") == 2:
         yield path, file
     for name, member in file.items():
@@ -353,7 +360,7 @@ def _groups(file: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 
 def _shrinks(values: NDArray[np.float32]) -> bool:
-    """Return whether compression, as of COMPRESSION, is worthwhile, by the last values."""
+    """Return whether compression with COMPRESSION is worthwhile. This is tested on the last values."""
     shuffled = values.ravel()[-SAMPLE:].view(np.uint8).reshape(-1, 4).T.tobytes()
     return len(zlib.compress(shuffled, 1)) < WORTHWHILE * len(shuffled)
 

@@ -28,7 +28,7 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 LABEL = 0.1
 """Width of the label of a spectral line, as a share of the axis. Lines that are closer are listed in the corner."""
 SIDE_LOBES = 0.5
-"""Exponent of the colours of pressure: a side lobe of -13 dB is 0.22 of the peak, and its ARP 0.05."""
+"""Exponent of the pressure colours. With it, a side lobe of -13 dB is 0.22 of the peak, and its ARP is 0.05."""
 
 
 def plot_pressure(result: xr.DataTree, path: Path) -> None:
@@ -38,7 +38,7 @@ def plot_pressure(result: xr.DataTree, path: Path) -> None:
 
 
 def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s: float | None = None) -> Figure:
-    """Draw peak pressure amplitude and ARP on each skin at its loudest moment, with view onto the array that it faces.
+    """Draw peak pressure amplitude and ARP on each skin at its loudest moment, seen from the array that it faces.
 
     result: as returned by `open_result` or `tree`, with a skin and loudest_pressure or arp, and an array. Each skin
     has a row.
@@ -73,7 +73,9 @@ def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s
 
 
 def plot_displacement(result: xr.DataTree, path: Path) -> None:
-    """Draw a PNG of normal displacement and spectrum of each skin at the vertex of largest motion and two more.
+    """Draw a PNG with the normal displacement and the spectrum of each skin.
+
+    They are shown at the vertex of largest motion and at two others.
 
     result: as returned by `open_result` or `tree`, with displacement; each skin has a column
     Raises OutputError if there is no displacement, and if `path` cannot be written.
@@ -93,7 +95,7 @@ def plot_displacement(result: xr.DataTree, path: Path) -> None:
 
 
 def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
-    """Return a time in the record of a skin [s]. Raises OutputError for a time outside the record."""
+    """Return a time within the record of a skin [s]. Raises OutputError for a time outside the record."""
     times: Float = skin["time"].values
     if not len(times):
         raise OutputError(
@@ -105,8 +107,9 @@ def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
 
 
 def _pressures(skin: xr.Dataset, when: Loudest, over_time: bool) -> list[tuple[str, str, Float]]:
-    """Return title, colours and values [Pa] of each panel of a skin; over_time: whether the values are from the record
-    at the time `when`.
+    """Return title, colours and values [Pa] of each panel of a skin.
+
+    over_time: whether the values are taken from the record at the time `when`
     """
     panels: list[tuple[str, str, Float]] = []
     for name, title, colours in ("pressure", "Peak pressure", "magma"), ("arp", "Radiation pressure (ARP)", "viridis"):
@@ -121,7 +124,7 @@ def _pressures(skin: xr.Dataset, when: Loudest, over_time: bool) -> list[tuple[s
 
 
 def _foci_of_skins(result: xr.DataTree) -> dict[str, dict[str, list[int]]]:
-    """Return for each skin and stimulus the numbers of the focal points closest to this skin."""
+    """Return, for each skin and stimulus, the numbers of the foci that are closest to this skin."""
     by_skin: dict[str, dict[str, list[int]]] = {name: {} for name in instances(result, "skin")}
     for key, stimulus in instances(result, "stimulus").items():
         if not has_records(stimulus, "foci"):
@@ -144,7 +147,7 @@ def _draw_skin(
     panels: list[tuple[str, str, Float]],
     stimuli: list[tuple[xr.Dataset, list[int]]],
 ) -> None:
-    """stimuli: stimuli with the numbers of the focal points to draw"""
+    """Draw one skin with its foci. stimuli: stimuli, with the numbers of the foci to draw"""
     columns = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, colours, values) in zip(columns, panels, strict=True):
         faces, shown, limits = skin["face"].values, np.nan_to_num(values), (0.0, max(float(np.nanmax(values)), 1e-9))
@@ -160,7 +163,7 @@ def _draw_skin(
 
 
 def _draw_foci(axes: Any, stimulus: xr.Dataset, view: SkinView, numbers: list[int]) -> None:
-    """Draw the path of some focal points while active, and their positions at the loudest moment."""
+    """Draw the paths of some foci while they are active, and their positions at the loudest moment."""
     foci = stimulus["foci"].values[:, numbers]
     way: Float = to_local(foci.reshape(-1, 3), view.pose).reshape(foci.shape)
     way[~stimulus["sounding"].values.astype(bool)] = np.nan
@@ -216,9 +219,9 @@ def _draw_spectra(axes: Any, time_s: Float, motion: Any) -> None:
 
 
 def _lighten_log_axis(axes: Any) -> None:
-    """Draw the minor ticks of a logarithmic y axis as one line, and its powers of ten without the parser of formulas.
+    """Draw the minor ticks of a logarithmic y axis as one line, and its powers of ten without the formula parser.
 
-    The picture then takes a third less time.
+    This reduces the drawing time by a third.
     """
     low, high = axes.get_ylim()
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))

@@ -29,12 +29,15 @@ from warp_kernels import raycast
 DPI = 120
 SUPERSAMPLING = 2
 AMBIENT_RAYS, VERTEX_RAYS = 1, 16
-"""Shading rays of a sample, and of a vertex of a painted mesh, between which shade is interpolated without noise."""
+"""Number of shading rays of a sample, and of a vertex of a painted mesh. Between vertices the shade is interpolated."""
 AMBIENT_REACH_M = 0.035
 SAME_INSTANT_S = 1e-9
 BAND_RAYS = 15_000
 UNEVEN = 0.05
-"""Step of linear RGB between two pixels from which both get all their samples: edges, fine parts and coarse shade."""
+"""Difference in linear RGB between two neighbouring pixels above which both get all samples.
+
+Such differences occur at edges, fine parts and coarse shade.
+"""
 AZIMUTHS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
 BOARD_RIM_M = 0.008
 CAPTION = 110
@@ -44,7 +47,7 @@ COLOURS = ListedColormap(colormaps["magma_r"](np.linspace(0.07, 0.82, 256)))
 
 
 class Part(NamedTuple):
-    """A mesh in the world with one sRGB colour, strength of highlight and opacity."""
+    """A mesh in the world. It has one sRGB colour, a strength of highlight, and an opacity."""
 
     mesh: trimesh.Trimesh
     colour: tuple[float, float, float]
@@ -53,10 +56,13 @@ class Part(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Objects to draw. time_s: time of their poses; peak_Pa: end of the colour map
+    """Objects to draw.
 
-    bodies: meshes in the world with the pressure by vertex [Pa]; arrays: pose, shape (7,), and transducers in the frame
-    of the array [m], shape (n, 3), by name; others: meshes in the world without pressure
+    time_s: time of their poses
+    peak_Pa: end of the colour map
+    bodies: meshes in the world with the pressure at each vertex [Pa]
+    arrays: pose, shape (7,), and transducers in the frame of the array [m], shape (n, 3), by name
+    others: meshes in the world without pressure
     """
 
     time_s: float
@@ -67,7 +73,7 @@ class Scene(NamedTuple):
 
 
 class Image(NamedTuple):
-    """Objects as a camera sees them. image: sRGB, shape (height, width, 3), in [0, 1]"""
+    """Objects as a camera sees them. image: sRGB picture, shape (height, width, 3), in [0, 1]"""
 
     scene: Scene
     camera: Camera
@@ -82,9 +88,9 @@ def render_scene(
     result: as returned by `open_result` or `tree`, with arrays and a surface that has loudest_pressure
     size: width and height [pixels]; image: `scene_image` of the result, made now if None
     Poses are those of the loudest moment of all skins. The camera looks obliquely along the emission of the first
-    array: it sees the insonified side of the body, and the array from behind, through its board. With several arrays,
-    the direction is that in which they hide least of the sound. Raises OutputError without data to show and if `path`
-    cannot be written.
+    array. So it sees the insonified side of the body, and the array from behind; the board is transparent. With several
+    arrays, the camera takes the direction in which the arrays hide least of the sound. Raises OutputError without data
+    to show and if `path` cannot be written.
     """
     scene, camera, pixels = image or scene_image(result, size)
     height, width = pixels.shape[:2]
@@ -106,9 +112,9 @@ def render_scene(
 
 
 def scene_image(result: xr.DataTree, size: tuple[int, int] = (960, 720)) -> Image:
-    """Return the objects of `render_scene` in its view; a thread can do this while another one draws.
+    """Return the picture data of `render_scene` in its view. A thread can compute this while another thread draws.
 
-    Raises its OutputError without data to show.
+    Raises the OutputError of `render_scene` for a result without data to show.
     """
     scene = _scene(result)
     parts = [part for pose, positions in scene.arrays.values() for part in array_parts(positions, pose)]
@@ -158,7 +164,10 @@ def _scene(result: xr.DataTree) -> Scene:
 
 
 def _pressure(surface: xr.Dataset) -> Float:
-    """Return the pressure of a surface at its loudest moment [Pa]; 0 if an interrupted run has none."""
+    """Return the pressure of a surface at its loudest moment [Pa].
+
+    It is 0 if an interrupted run does not contain it.
+    """
     if not has_records(surface, "loudest_pressure"):
         return np.zeros(surface.sizes["vertex"])
     return np.nan_to_num(surface["loudest_pressure"].values.astype(float))
@@ -167,9 +176,13 @@ def _pressure(surface: xr.Dataset) -> Float:
 def _camera(
     scene: Scene, painted: trimesh.Trimesh, level: Float, solids: Float, window: tuple[float, float, float, float]
 ) -> Camera:
-    """Return a camera along the emission of the first array; with several arrays, at the azimuth that shows most sound.
+    """Return a camera along the emission of the first array.
 
-    painted: meshes with a pressure, level: of each vertex, from 0 to 1; solids: all points to be visible [m]
+    With several arrays, the camera is at the azimuth that shows most of the sound.
+
+    painted: meshes with a pressure
+    level: level of each of their vertices, from 0 to 1
+    solids: all points that must be visible [m]
     """
     first = next(iter(scene.arrays.values()))[0]
     # Corners need the same camera as the whole mesh, in a hundredth of the time
@@ -189,7 +202,7 @@ def _camera(
 
 
 def _behind(points: Float, eye: Float, pose: Float, positions: Float) -> NDArray[np.bool_]:
-    """Return which points [m], shape (n, 3), are hidden from an eye by the board of an array."""
+    """Return which of the points [m], shape (n, 3), the board of an array hides from an eye."""
     here, there = to_local(points, pose), to_local(eye[None], pose)[0]
     way = there - here
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -212,7 +225,7 @@ def _caption(result: xr.DataTree, scene: Scene) -> str:
 
 
 def _draw_guides(picture: Axes, camera: Camera, scene: Scene, stimulus: xr.Dataset) -> None:
-    """Draw dashed lines from the corners of each array that a stimulus drives to each of its focal points."""
+    """Draw dashed lines from the corners of each array of a stimulus to each of its foci."""
     if not has_records(stimulus, "foci"):
         return
     foci = foci_at(stimulus, nearest(stimulus["time"].values, scene.time_s))
@@ -229,7 +242,7 @@ def _draw_guides(picture: Axes, camera: Camera, scene: Scene, stimulus: xr.Datas
 
 
 def array_parts(positions: Float, pose: Float) -> list[Part]:
-    """Return cases and grilles of the transducers, and the board behind them, in the world."""
+    """Return meshes in the world for the cases and grilles of the transducers, and for the board behind them."""
     gap = float(cKDTree(positions).query(positions, k=2)[0][:, 1].min()) if len(positions) > 1 else 0.010
     radius, tall = 0.46 * gap, 0.7 * gap
     case = trimesh.creation.cylinder(radius, tall, sections=24)
@@ -272,8 +285,9 @@ def cast(
 ) -> Float:
     """Return an sRGB image, shape (height, width, 3), in [0, 1].
 
-    level: position in the colour map by vertex of painted meshes, 0 to 1; quality: samples per pixel side, for pixels
-        that differ from a neighbour (others get one sample), and shading rays of a sample on other meshes
+    level: position in the colour map at each vertex of the painted meshes, 0 to 1
+    quality: number of samples per pixel side, for pixels that differ from a neighbour (others get one sample); number
+        of shading rays of a sample on the other meshes
     """
     meshes = [painted, *(part.mesh for part in parts)]
     points, faces = trimesh.util.append_faces([m.vertices for m in meshes], [m.faces for m in meshes])

@@ -1,4 +1,4 @@
-"""Draw a report card: the mesh from the palm and the back, with faults in colour."""
+"""Draw a report card: the mesh seen from the palm and from the back, with faults in colour."""
 
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,10 @@ def draw_card(card: ReportCard, path: Path) -> Path:
 
 
 def _swatch(finding: dict[str, Any]) -> Swatch:
-    """Return the legend entry of a finding: filled if marked in the picture, with the number if not all are marked."""
+    """Return the legend entry of a finding.
+
+    It is filled if the picture marks the finding, and has a number if only some are marked.
+    """
     marked = len(finding["places_mm"])
     text = f"{finding['count']} x {finding['name']}, {finding['outcome']}"
     if marked == MOST_PLACES < finding["count"]:
@@ -60,7 +63,7 @@ def _known(card: ReportCard) -> bool:
 
 
 def directions(card: ReportCard) -> tuple[Float, Float]:
-    """Return unit vectors to the fingers and out of the palm; the axes of the file if the mesh was refused."""
+    """Return unit vectors to the fingers and out of the palm. If the mesh was refused, they are axes of the file."""
     vertices = card.mesh.vertices
     along = fingers_direction(vertices, card.mesh.faces)
     if "side" not in card.facts:
@@ -72,7 +75,7 @@ def directions(card: ReportCard) -> tuple[Float, Float]:
 
 
 def draw_view(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str) -> None:
-    """Draw the mesh of a card [mm] from direction to_eye, with `up` upwards and faults in colour."""
+    """Draw the mesh of a card [mm], seen from direction to_eye, with `up` upwards and faults in colour."""
     vertices, faces = card.mesh.vertices, card.mesh.faces
     right = np.cross(up, to_eye)
     unit, _ = face_normals(vertices, faces)

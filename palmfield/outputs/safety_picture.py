@@ -1,4 +1,4 @@
-"""Draw a safety sheet: levels in the sphere of the head and on the skins, with limits, and over time."""
+"""Draw a safety sheet: maps of levels in the sphere of the head and on the skins, with limits, and levels over time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,15 +15,19 @@ if TYPE_CHECKING:
 SHOWN_DB = 40.0
 """Range of the colour scale below the highest level [dB]."""
 FAR = 4.0
-"""Ratio to the median edge above which an edge crosses a gap."""
+"""Ratio of an edge to the median edge above which the edge crosses a gap."""
 
 
 @dataclass(frozen=True)
 class LevelMap:
     """Highest level of a play at each point of a region, projected to a plane.
 
-    places_m: points in the plane [m], shape (n, 2); levels_dB: shape (n,); loudest_m: loudest point, shape (2,)
-    loudest_dB: level there; limits_dB: limits by name; axes: names of the two directions of the plane
+    places_m: points in the plane [m], shape (n, 2)
+    levels_dB: their levels, shape (n,)
+    loudest_m: loudest point, shape (2,)
+    loudest_dB: level at this point
+    limits_dB: limits by name
+    axes: names of the two directions of the plane
     """
 
     name: str
@@ -37,7 +41,7 @@ class LevelMap:
 
 @dataclass(frozen=True)
 class LevelCourse:
-    """Highest level in each region at moments of a play. levels_dB: levels by region, shapes (k,)"""
+    """Highest level in each region at moments of a play. levels_dB: levels by region, shape (k,) each"""
 
     times_s: Float
     levels_dB: Mapping[str, Float]

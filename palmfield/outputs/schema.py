@@ -19,9 +19,9 @@ SCHEMA_VERSION = 2
 CONVENTIONS = "CF-1.11"
 
 Arrays: TypeAlias = Mapping[str, Mapping[str, ArrayLike]]
-"""Plain arrays by group ("/" or the path returned by `group`) and variable."""
+"""Plain arrays by group and variable. The group is "/" or a path from `group`."""
 Checked: TypeAlias = dict[str, dict[str, NDArray[Any]]]
-"""Arrays by group and variable, with the types of the schema."""
+"""Arrays by group and variable, converted to the types of the schema."""
 Attributes: TypeAlias = Mapping[str, Mapping[str, Any]]
 """Attributes of groups, by group."""
 
@@ -48,7 +48,10 @@ class Variable(NamedTuple):
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Return attributes of the netCDF variable: long_name is the short name, for plots; comment has the details."""
+        """Return the attributes of the netCDF variable.
+
+        long_name is the short name for plots; comment contains the details.
+        """
         long_name, comment = self.words
         pairs = {
             "units": self.units, "long_name": long_name, "comment": comment, "frame": self.frame, "sign": self.sign,
@@ -275,19 +278,19 @@ GROUPS: dict[str, dict[str, Variable]] = {
 }  # fmt: skip
 """Variables by kind of group. Empty variables of /mujoco are omitted.
 
-Variables along `bone` and `influence` exist only for bodies with bones, and obstacles only if there are any, and
-motion_displacement only with key inertia. An
-interrupted run lacks the variables of the loudest moment."""
+Variables along `bone` and `influence` exist only for bodies with bones, obstacles only if the scene has some, and
+motion_displacement only with key inertia. An interrupted run lacks the variables of the loudest moment.
+"""
 LABELS: dict[str, tuple[tuple[str, ...], str]] = {
     "xyz": (("x", "y", "z"), "Cartesian component"),
     "corner": (("0", "1", "2"), "corner of a triangle"),
     "pose7": (("x", "y", "z", "qw", "qx", "qy", "qz"), "component of a pose"),
 }
-"""Coordinates of the root: names of components."""
+"""Coordinates in the root, which name the components."""
 MUJOCO_SCENE = "scene"
 """Name of the only instance of group /mujoco."""
 PLACES = "rest_position"
-"""Coordinate of vertices."""
+"""Name of the coordinate that numbers vertices."""
 RECORDS = ("time", "step_time", "frame_time")
 """Dimensions that grow during a run."""
 
@@ -411,7 +414,7 @@ def instances(result: xr.DataTree, kind: str) -> dict[str, xr.Dataset]:
 
 
 def has_records(ds: xr.Dataset | xr.DataTree, *names: str) -> bool:
-    """Return whether a group has at least one value of each variable; an interrupted run may lack them."""
+    """Return whether a group has at least one record of each variable. An interrupted run may lack records."""
     return all(name in ds and ds[name].size > 0 for name in names)
 
 

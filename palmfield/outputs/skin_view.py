@@ -1,4 +1,4 @@
-"""Draw a skin in a plane, with values in colour and with view onto the array that it faces."""
+"""Draw a skin in a plane, with values in colour, seen from the array that it faces."""
 
 from typing import Any, NamedTuple
 
@@ -29,7 +29,7 @@ class SkinView(NamedTuple):
 
 
 def view_of_skin(result: xr.DataTree, name: str, skin: xr.Dataset, when: Loudest | None = None) -> SkinView:
-    """Return a skin relative to the array that it faces most; when: a moment instead of the loudest"""
+    """Return a skin relative to the array that it faces most. when: a moment that replaces the loudest moment"""
     when, body = when or loudest(skin), instances(result, "body").get(name)
     vertices = in_world(skin, body, when.time_s)
     corners = vertices[skin["face"].values]
@@ -51,7 +51,7 @@ def draw_patch(
     unit: str,
     gamma: float = 1.0,
 ) -> None:
-    """Draw the patch in x (to the right) and y (up) of the array with a colour bar, with view onto the array.
+    """Draw the patch over x (to the right) and y (up) of the array, with a colour bar. The view is onto the array.
 
     Triangles closer to the array, which the sound reaches first, are drawn over the others.
     vertices: vertices in the frame of the array [m], shape (n, 3); values: shape (n,), in `unit`
@@ -68,7 +68,7 @@ def draw_patch(
 
 
 def probe_vertices(rest: Float, peak: Float) -> list[tuple[int, float]]:
-    """Return vertex and distance [m] of the largest |u|, and of points 10 and 20 mm away (less on a small patch)."""
+    """Return vertex and distance [m] of the largest |u|, and of points 10 and 20 mm away (closer on a small patch)."""
     first = int(peak.argmax())
     distance = np.linalg.norm(rest - rest[first], axis=1)
     scale = min(1.0, 0.9 * float(distance.max()) / DISTANCES_M[-1])

@@ -38,7 +38,7 @@ def sounding_foci(result: xr.DataTree, time_s: float, array: str | None = None) 
 def sound_at(arrays: dict[str, xr.Dataset], points: Float, time_s: float) -> Complex:
     """Return the complex amplitude [Pa] of all arrays at points in the world [m], shape (n, 3) -> (n,), at a time [s].
 
-    arrays: as returned by `driven_arrays`. Obstacles are ignored; amplitudes and phases are those of the drive, so
+    arrays: as returned by `driven_arrays`. Obstacles are ignored. Amplitudes and phases are those of the drive, so
     ring-up is not included. Transducers are read from the result, with calibration and tilt. Raises OutputError for a
     result of an earlier version with layout sites or csv, or with a calibration, which it does not store completely.
     """
@@ -61,7 +61,10 @@ def _sound(name: str, array: xr.Dataset, points: Float, time_s: float, index: in
 
 
 def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:
-    """Return the transducers of an array in its own frame, from the result; for an earlier version from its keys."""
+    """Return the transducers of an array in its own frame.
+
+    They come from the result, or for an earlier version from its keys.
+    """
     if "transducer_p0" in group:
         gain = group["transducer_p0"].values * np.exp(1j * group["transducer_phase"].values)
         table, radius_m = None, float(group["piston_radius"].item())

@@ -1,8 +1,8 @@
 """Results on disk that survive Ctrl-C, kill -9 and a full disk.
 
-A run writes complete chunks into `.partial`; `finish` (or, after a kill, `recover`) joins them into `result.nc`.
-Each file in `.partial` is an HDF5 file followed by the SHA-256 of its content (which HDF5 readers ignore), so that
-damage is detected. See `netcdf.py` for the way in which files are written without HDF5.
+A run writes complete chunks into `.partial`; `finish` (or, after a kill, `recover`) joins them into `result.nc`. Each
+file in `.partial` is an HDF5 file followed by the SHA-256 of its content (which HDF5 readers ignore), so that damage is
+detected. `netcdf.py` describes how files are written without HDF5.
 """
 
 import hashlib
@@ -53,18 +53,18 @@ FLUSH_SECONDS = 2.0
 SEAL_BYTES = hashlib.sha256().digest_size
 ENGINE: Any = "h5netcdf"
 WHOLE_BYTES = 100_000_000
-"""Size of a new result up to which its data are read at once, or remain in memory."""
+"""Size of a new result up to which it is read completely, or stays in memory."""
 
 
 class _Waiting(NamedTuple):
-    """Blocks that are not on the disk yet. chunks: number of files written before"""
+    """Blocks that are not yet on the disk. chunks: number of files written before"""
 
     chunks: int
     blocks: list[Checked]
 
 
 class _Blocks:
-    """Checks of blocks in all stores."""
+    """Checks blocks, for all kinds of stores."""
 
     def __init__(self, static: Arrays) -> None:
         self._sizes: dict[tuple[str, str], int] = {}
@@ -73,7 +73,10 @@ class _Blocks:
         self.static = check(static, self._sizes)
 
     def checked(self, block: Arrays) -> Checked:
-        """Return a block that does not change, after a check against earlier ones; see `Store.append` for errors."""
+        """Check a block against earlier blocks, and return a copy that cannot change.
+
+        The errors are those of `Store.append`.
+        """
         sizes, last, names_by_path = dict(self._sizes), dict(self._last), dict(self._names)
         checked = check(block, sizes)
         for dim in RECORDS:
@@ -101,7 +104,7 @@ class _Blocks:
 
 
 def _constant(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array, or a copy if it can be written."""
+    """Return the array itself if it is read-only, and otherwise a copy."""
     return array.copy() if array.flags.writeable else array
 
 
@@ -159,10 +162,10 @@ class Store:
             raise unwritable(self.out, error) from error
 
     def append(self, block: Arrays) -> None:
-        """Append a block; arrays that can be written are copied. It is flushed to disk after 8 MB or 2 s.
+        """Append a block; writable arrays are copied. Blocks are flushed to disk after 8 MB or 2 s.
 
-        block: plain arrays by group and variable; those along `time`, `step_time` or `frame_time` need these times
-            in the root ("/"). Other variables (such as loudest_arp) replace earlier ones
+        block: plain arrays by group and variable; those along `time`, `step_time` or `frame_time` need these times in
+            the root ("/"). Other variables (such as loudest_arp) replace their earlier values
         All blocks must have the same variables along a dimension, equal lengths of other dimensions, and rising times.
         Raises OutputError otherwise, and if a flush fails.
         """
@@ -176,9 +179,9 @@ class Store:
         """Join all blocks into out/result.nc and remove .partial; return the path of the result.
 
         attributes: additional attributes of the result; `reason` describes why the run ended; `complete` becomes 1 or
-        0. If the last blocks cannot be flushed they are lost: the result reports this, is incomplete, and `lost` is
-        set. Files that were made from the result of an earlier run are removed. Raises OutputError if the disk is full;
-        .partial then remains for `palmfield recover`.
+        0. If the last blocks cannot be flushed, they are lost. The result is then marked incomplete and reports this,
+        and `lost` is set. Files that were made from the result of an earlier run are removed. Raises OutputError if the
+        disk is full; .partial then remains for `palmfield recover`.
         """
         try:
             self._flush()
@@ -285,16 +288,15 @@ def open_result(path: str | Path) -> xr.DataTree:
 
 
 def finished_result(path: Path) -> xr.DataTree:
-    """Return the result of a run that has just ended, as `open_result` does; a small one is read completely, which
-    takes a fifth of the time."""
+    """Return the result of a run that has just ended, as `open_result` does. A small result is read completely.
+
+    Reading it completely takes a fifth of the time.
+    """
     return tree(*read_image(path)) if path.stat().st_size <= WHOLE_BYTES else open_result(path)
 
 
 def write_json(path: Path, obj: object) -> None:
-    """Write JSON in one atomic step; NumPy scalars and arrays become numbers and lists.
-
-    Raises OutputError for values that JSON cannot store (such as NaN) and if the file cannot be written.
-    """
+    """Write a JSON file in one atomic step. NumPy scalars and arrays become numbers and lists."""
     try:
         text = json.dumps(obj, indent=2, default=json_value, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -400,7 +402,7 @@ def _join_chunks(
 ) -> None:
     """Write the result: variables without records, then the records of one chunk after the other.
 
-    chunks: files, and their contents, or None if they are to be read
+    chunks: files with their contents, or with None for contents that must be read first
     """
     with interrupts_delayed() as check_interrupt, result_file(path, lengths) as (writer, disk):
         writer.labels()

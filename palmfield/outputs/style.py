@@ -34,13 +34,13 @@ RC: Any = {
 }
 COLOURS = ("#c2410c", "#0f766e", "#4338ca")
 LINES = ("-", "--", ":", "-.")
-"""Line styles, which differ without colour too."""
+"""Line styles that can be distinguished without colour."""
 LEAST_MM = 10.0
-"""Smallest range of spatial axes [mm]: a fixed focus or hand has no extent."""
+"""Smallest range of spatial axes [mm]. A fixed focus or hand would otherwise have no extent."""
 
 
 def style() -> Any:
-    """Return a context with the style of palmfield, which does not affect other figures of the process."""
+    """Return a context manager that sets the style of palmfield. Other figures of the process do not change."""
     return mpl.rc_context(RC)
 
 
@@ -64,14 +64,14 @@ def signed_colours(low: float, high: float, cut_off: float = 0.0) -> Float:
 
 
 def beyond(values: Float, low: float, high: float) -> Any:
-    """Return the ends of a colour bar beyond which there are values: "min", "max", "both" or "neither"."""
+    """Return at which ends of a colour bar values exceed the range: "min", "max", "both" or "neither"."""
     slack = 1e-6 * (high - low)
     below, above = bool((values < low - slack).any()), bool((values > high + slack).any())
     return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
 def rounded_down(value: float) -> float:
-    """Return the largest of 1, 2, 5, 10, 20, ... that is not above a value."""
+    """Return the largest number of the series 1, 2, 5, 10, 20, ... that is not above a value."""
     ten = 10.0 ** np.floor(np.log10(value))
     return float(ten * max(step for step in (1.0, 2.0, 5.0) if step * ten <= value * (1.0 + 1e-9)))
 
@@ -80,7 +80,7 @@ FORMATS = ("png", "svg", "pdf")
 
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> None:
-    """Write a picture in one atomic step, in the format of its suffix (FORMATS); text in SVG and PDF remains text.
+    """Write a picture in one atomic step; the suffix (FORMATS) sets the format. Text in SVG and PDF stays text.
 
     dpi: resolution of a PNG [pixels per inch]
     Raises OutputError for an unknown format, and if it cannot be written.

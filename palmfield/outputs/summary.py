@@ -1,4 +1,4 @@
-"""Compute the numbers of a run as plain JSON: lists of skins, arrays and stimuli, and common numbers."""
+"""Compute the numbers of a run as plain JSON: lists of skins, arrays and stimuli, and numbers of the whole run."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from palmfield.outputs.schema import SCHEMA_VERSION, has_records, instances
 PEAKS = ("peak_pressure_Pa", "peak_arp_Pa", "peak_displacement_m", "peak_velocity_m_s", "total_force_peak_N")
 
 More = Mapping[str, Mapping[str, Any]]
-"""Additional numbers by instance."""
+"""Additional numbers for each instance."""
 
 
 def summary(
@@ -70,12 +70,12 @@ def summary(
 def skin_numbers(skin: xr.Dataset, surface: xr.Dataset | None, forces: xr.Dataset | None) -> dict[str, Any]:
     """Return the numbers of one skin.
 
-    skin, surface, forces: groups of the skin. peak_pressure_Pa is the largest pressure amplitude (peak, not rms) on
-    the surface of its body or on the skin at the loudest moment; peak_pressure_dB_SPL is its rms level over 20 µPa,
-    None in silence. Displacement and velocity are those along the outward normal; rms_displacement_m (and
+    skin, surface, forces: groups of the skin. peak_pressure_Pa is the largest pressure amplitude (peak, not rms) on the
+    surface of its body or on the skin at the loudest moment; peak_pressure_dB_SPL is its rms level over 20 µPa, None in
+    silence. Displacement and velocity are components along the outward normal. rms_displacement_m (and
     ..._without_dc_m) are over time at the vertex of largest motion; displacement_per_arp_m_Pa is the ratio of the
-    maxima of displacement and ARP, independent of the sound level. The numbers motion_... are of the
-    length of the displacement driven by the body, which no other number contains. total_force_mean_N is the mean vector
+    maxima of displacement and ARP, independent of the sound level. The numbers motion_... are magnitudes of the
+    displacement that the motion of the body causes; no other number includes it. total_force_mean_N is the mean vector
     in the world.
     """
     out: dict[str, Any] = {"vertices": int(skin.sizes.get("vertex", 0))}

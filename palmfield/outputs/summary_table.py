@@ -95,7 +95,7 @@ def _no_estimate(skin: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _peak(skin: Mapping[str, Any]) -> str:
-    """Describe the peak displacement with its band over all inputs with a known range, and the parts of the band."""
+    """Describe the peak displacement with its band, over all inputs with a known range, and the parts of the band."""
     parts = input_parts(skin)
     (low, high), peak = combined(parts), 1e6 * skin["peak_displacement_m"]
     band = max((high - low) / 2.0, response_band(skin))
@@ -124,32 +124,37 @@ def _sound(skin: Mapping[str, Any], drive_level: float) -> list[TextRow]:
 
 
 def unknown_or(band: float, skin: Mapping[str, Any]) -> float:
-    """Return a band, or inf for a skin without an error budget, whose other uncertainties are unknown."""
+    """Return a band.
+
+    For a skin without an error budget the band is inf, because its other uncertainties are unknown.
+    """
     return band if "error_budget" in skin else math.inf
 
 
 def sound_band(skin: Mapping[str, Any]) -> float:
-    """Return the largest relative band of the ARP on a skin: from p0, and from ignored effects on the sound."""
+    """Return the largest relative band of the ARP on a skin, due to p0 and to ignored effects on the sound."""
     return unknown_or(max(level_band(skin), widest(skin.get("error_budget"))), skin)
 
 
 def response_band(skin: Mapping[str, Any]) -> float:
-    """Return the largest relative band of the motion of a skin per ARP: from all inputs except p0."""
+    """Return the largest relative band of the motion of a skin per ARP, due to all inputs except p0."""
     low, high = combined(input_parts(skin, ("p0",)))
     error = skin.get("displacement_error_relative", 0.0)
     return unknown_or(max(error, widest(skin.get("error_budget")), (high - low) / 2.0), skin)
 
 
 def level_band(skin: Mapping[str, Any]) -> float:
-    """Return the relative uncertainty of ARP and motion due to p0, which is half of the range; 0 if the scene sets the
-    level."""
+    """Return the relative uncertainty of ARP and motion due to p0.
+
+    It is half of the range of p0, or 0 if the scene sets the level.
+    """
     if "p0_band_low" not in skin:
         return 0.0
     return float(skin["p0_band_high"] - skin["p0_band_low"]) / 2.0
 
 
 def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[TextRow]:
-    """Return a row for each different p0 of the arrays."""
+    """Return one row for each different p0 of the arrays."""
     rows: dict[str, list[str]] = {}
     for array in arrays:
         if "p0_Pa_m" in array:
@@ -190,7 +195,7 @@ def _motion(skin: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _levels(skin: Mapping[str, Any]) -> list[TextRow]:
-    """Return a row for each observer: its level with its band, its lines, and why it applies or is refused."""
+    """Return a row for each observer: level with band, frequency lines, and why the observer applies or is refused."""
     rows = []
     present = [name for name in READ_FIRST if f"level_{name}_dB_SL" in skin]
     for number, name in enumerate(present, start=1):
@@ -213,7 +218,7 @@ def _levels(skin: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _spread(skin: Mapping[str, Any], name: str) -> list[str]:
-    """Describe the spread of an observer and its source; empty if there is none."""
+    """Describe the spread of an observer and the source of this value; empty if no spread is known."""
     spread, half = (skin.get(f"level_{name}_spread_{key}") for key in ("of", "dB"))
     if spread is None:
         return []
@@ -221,7 +226,7 @@ def _spread(skin: Mapping[str, Any], name: str) -> list[str]:
 
 
 def advice(skin: Mapping[str, Any]) -> str:
-    """Return a measure that would reduce the largest part of the error of a skin."""
+    """Return advice that would reduce the largest part of the error of a skin."""
     parts = {
         "a smaller --accuracy makes the mesh finer": skin["mesh_error_relative"],
         "a smaller --accuracy or step_s shortens the step": skin["step_error_relative"],

@@ -1,4 +1,4 @@
-"""Draw a trial: distance of the focus from the hand, remaining fraction of its pressure, and top view."""
+"""Draw a trial: distance of the focus from the hand, remaining fraction of its pressure, and a view from above."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Choose the sensation level of a skin to show, with its observer and band, and the verdict of a run.
+"""Choose the sensation level of a skin that outputs show, with its observer and band, and the verdict of a run.
 
 Tables, pictures, the live view and summary.json use this module. The arguments `skin` are elements of `skins` in
 summary.json.
@@ -14,13 +14,14 @@ from palmfield.perception.registry import READ_FIRST
 
 RULE = "first observer that applies: mid-air, afferents, contact"
 DB = 20.0 / math.log(10.0)
-"""Decibels per natural logarithm of a factor."""
+"""Decibels per unit of the natural logarithm of a factor."""
 
 
 def shown_level(skin: Mapping[str, Any], name: str) -> tuple[float | None, str]:
-    """Return the level of an observer [dB SL] that every output shows, and its frequency lines or class of afferents.
+    """Return the level of an observer [dB SL] that outputs show, and its frequency lines or its class of afferents.
 
-    It includes all lines, or the main line for observers without a level of several lines. None if refused.
+    The level includes all lines. For observers that have no level of several lines, it is that of the main line. None
+    if the observer is refused.
     """
     if (decides := skin.get(f"level_{name}_class")) is not None:
         return skin[f"level_{name}_dB_SL"], f"{str(decides).upper()} afferents"
@@ -41,14 +42,17 @@ def top_line(skin: Mapping[str, Any], name: str) -> str:
 
 
 def chosen_observer(skin: Mapping[str, Any]) -> str | None:
-    """Return the observer shown for a skin, by RULE; None if all are refused or the run has no levels."""
+    """Return the observer that is shown for a skin, by RULE.
+
+    None if all observers are refused or the run has no levels.
+    """
     return next((name for name in READ_FIRST if shown_level(skin, name)[0] is not None), None)
 
 
 def level_parts(skin: Mapping[str, Any], name: str) -> list[Part]:
-    """Return factors of the level of an observer from ranges of inputs and from its own spread, by name.
+    """Return the factors of the level of an observer by name: from the ranges of inputs, and from its own spread.
 
-    An observer based on force depends on p0 alone.
+    An observer based on force depends only on p0.
     """
     parts = [one for one in input_parts(skin) if one[0] == "p0" or name != FORCE_OBSERVER.name]
     if spread := skin.get(f"level_{name}_spread_dB"):
@@ -57,7 +61,7 @@ def level_parts(skin: Mapping[str, Any], name: str) -> list[Part]:
 
 
 def level_band_dB(skin: Mapping[str, Any], name: str) -> tuple[float, float]:
-    """Return the lower and upper band of a level from all `level_parts` [dB], as a negative and a positive number."""
+    """Return the lower and upper band of a level [dB], as a negative and a positive number, from all `level_parts`."""
     low, high = combined(level_parts(skin, name))
     return (DB * math.log(low) if low > 0.0 else -math.inf), DB * math.log(high)
 
@@ -107,7 +111,7 @@ def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def first_line(summary: Mapping[str, Any]) -> str:
-    """Return the first line of a run: missed target accuracies, and the verdict of each skin."""
+    """Return the first line of a run: target accuracies that were not reached, and the verdict of each skin."""
     texts = []
     for skin in summary["skins"]:
         answer = verdict(skin)

@@ -31,13 +31,13 @@ from palmfield.stimulus.schedule import frames_at, main_frequencies
 from palmfield.types import Float
 
 COURSE, POSES = 64, 16
-"""Number of points of a path, and of poses of scripted hands, for distances from a skin."""
+"""Number of points of a path, and number of poses of scripted hands, at which distances from a skin are computed."""
 SOUNDS, NODES = 16, 2000
-"""Largest number of points of a path, and of a skin, for the sound of a distant focus."""
+"""Largest number of points of a path, and of points of a skin, at which the sound of a distant focus is computed."""
 HARDLY = 0.05
-"""Smallest |p|^2 on a skin, relative to that of a focus there, at which it moves noticeably."""
+"""Smallest |p|^2 on a skin that moves it noticeably, relative to the |p|^2 of a focus at the same point."""
 ROUNDED = 0.01
-"""Largest relative change of the duration by the MuJoCo steps that causes no warning."""
+"""Largest relative change of the duration, due to rounding to MuJoCo steps, that causes no warning."""
 DENSITIES_kg_m3 = 500.0, 3000.0
 SHEAR_Pa = 50.0, 1e9
 """Range of the shear modulus of skin and phantoms, from the softest gels to dry stratum corneum."""
@@ -58,7 +58,7 @@ UNLIKELY = 3.0
 
 
 def material_advice(model: HapticModel) -> list[str]:
-    """Return warnings of the material sheets of all skins."""
+    """Return the warnings in the material sheets of all skins."""
     return [
         f"material '{sheet.material.name}' of skin '{skin.spec.name}' {warning}"
         for skin in model.skins
@@ -85,7 +85,7 @@ def _material_warnings(material: Material) -> list[str]:
 
 
 def advice(view: Preview) -> list[str]:
-    """Return all warnings, each once."""
+    """Return all warnings without repeats."""
     model = view.runtime.model
     result = [text for number in range(len(model.skins)) for text in far_focus(view, number)]
     result += hidden_patches(view)
@@ -126,7 +126,7 @@ def advice(view: Preview) -> list[str]:
 
 
 def _coarse(model: HapticModel, number: int) -> list[str]:
-    """Warn if keys make a skin coarser than its accuracy needs."""
+    """Warn if keys make a skin coarser than its target accuracy needs."""
     skin, pinned = model.skins[number].spec, coarse_pins(model, number)
     if not pinned:
         return []
@@ -137,7 +137,7 @@ def _coarse(model: HapticModel, number: int) -> list[str]:
 
 
 def _dropped_response(model: HapticModel, number: int) -> list[str]:
-    """Warn if a key switches off ring-up or flight time, and the effect is larger than the accuracy."""
+    """Warn if a key switches off ring-up or flight time although the effect is larger than the target accuracy."""
     skin, stimulus = model.skins[number], model.stimuli[stimulus_of(model, number)]
     target = skin.spec.config.accuracy
     return [
@@ -199,10 +199,10 @@ def far_focus(view: Preview, number: int) -> list[str]:
 
 
 def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedScene) -> float:
-    """Return the highest |p|^2 on a skin, in free air, over that of a focus at the same point, for points of a path.
+    """Return the highest free-field |p|^2 on a skin, relative to that of a focus at the same point, along a path.
 
-    Both are for full drive of the same transducers, independent of the level: a level that is possible at
-    the focus may be impossible at the skin.
+    Both values are for full drive of the same transducers, so the ratio does not depend on the level. A level that the
+    transducers can reach at the focus may be impossible at the skin.
     """
     nodes = posed.skins[skin].nodes[0]
     nodes = nodes[:: -(-len(nodes) // NODES)]
@@ -241,7 +241,7 @@ def silence(view: Preview, stimulus: StimulusModel) -> list[str]:
 
 
 def _rounded_duration(view: Preview) -> list[str]:
-    """Warn if the MuJoCo steps make the run longer or shorter than intended."""
+    """Warn if rounding to MuJoCo steps makes the run longer or shorter than requested."""
     step_s = view.runtime.model.spec.timestep_s
     steps = step_count(view.duration_s, step_s)
     if abs(steps * step_s - view.duration_s) <= ROUNDED * view.duration_s:
@@ -254,7 +254,7 @@ def _rounded_duration(view: Preview) -> list[str]:
 
 
 def _disabled_sensors(view: Preview) -> list[str]:
-    """Warn if MuJoCo leaves the sensors of skins at 0."""
+    """Warn if MuJoCo options leave the sensors of skins at 0."""
     if not view.data.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_SENSOR:
         return []
     own = view.data.model.sensor_plugin >= 0
@@ -316,7 +316,7 @@ def path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]:
 
 
 def _own_mesh(skin: SkinModel, view: Preview) -> list[str]:
-    """Describe the cost of a solver with its own mesh on a CPU, and the value of a preview."""
+    """Describe the cost on a CPU of a solver with its own mesh, and what a preview would give."""
     solver, device = skin.choice.name, view.runtime.model.spec.device
     own, result = skin.solver, list[str]()
     if own.preview and own.expected_error is not None:

@@ -17,7 +17,10 @@ from palmfield.skin.reduction.modal_stepper import MOST_SHARE
 from palmfield.stimulus.schedule import frame_rates
 
 PAIRS_PER_S = 5e8
-"""Pairs of transducer and point per second, with gradient, measured on two cores of a server CPU (docs/bench/)."""
+"""Rate of field computation with gradient: pairs of transducer and point per second, on two cores of a server CPU.
+
+Measured in docs/bench/.
+"""
 START_AND_PICTURES_S = 12.0
 SCATTER_PAIR_S = 2e-8
 SCATTER_ELEMENT_S = 1e-4
@@ -27,7 +30,7 @@ MOST_RUNS = 1000
 
 
 def run_s(view: Preview) -> float:
-    """Return the expected wall time of `palmfield run` on two CPU cores [s], pictures included."""
+    """Return the expected wall time of `palmfield run` on two CPU cores [s], including the pictures."""
     model = view.runtime.model
     pairs = points_a_step(model) * len(model.arrays) * view.duration_s / model.spec.timestep_s
     seconds = START_AND_PICTURES_S + pairs / PAIRS_PER_S
@@ -36,7 +39,10 @@ def run_s(view: Preview) -> float:
 
 
 class Scattering(NamedTuple):
-    """Boundary elements on the body of a skin: whether it can move, number of solutions in a run, time of each [s]."""
+    """Cost of the boundary elements on the body of a skin.
+
+    Whether the body can move, number of solutions in a run, and time of each solution [s].
+    """
 
     body: str
     moves: bool

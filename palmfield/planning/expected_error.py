@@ -10,7 +10,7 @@ from palmfield.skin.materials.material import Material
 
 
 def expected_errors(model: HapticModel) -> list[Row]:
-    """Return rows of the sources of error, first for each skin, then for each stimulus."""
+    """Return one row for each source of error, first for each skin, then for each stimulus."""
     rows = []
     for number, skin in enumerate(model.skins):
         name = skin.spec.name
@@ -36,7 +36,7 @@ def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
 
 
 def _material_row(material: Material, ranges: bool, skin: str) -> Row:
-    """Return the row of the uncertainty of a material; the run solves for the ends of its ranges."""
+    """Return the row for the uncertainty of a material. The run itself solves for both ends of its ranges."""
     entry = CATALOGUE.get(material.name)
     if not ranges or entry is None or not entry.ranges:
         return Row("material", "range unknown", f"{material.name}: {material.source}", skin)

@@ -18,8 +18,9 @@ def first_drive(model: HapticModel, stimulus: int) -> Complex:
 def where_it_arrives(posed: PosedScene, skin: int, drive: Complex) -> tuple[Float, Float, float]:
     """Return the point of highest free-field pressure on the side of a skin that faces the transducers.
 
-    The results are a node and its outward normal, array frame, shapes (3,) [m], and the peak pressure there [Pa], 0 if
-    no node faces the transducers. drive: drive of all transducers (N,). Shadows and scattering are not included.
+    drive: drive of all transducers (N,)
+    Returns a node and its outward normal, both in the array frame, shapes (3,) [m], and the peak pressure at the node
+    [Pa]. The pressure is 0 if no node faces the transducers. Shadows and scattering are not included.
     """
     nodes, outwards = posed.skins[skin].nodes
     loud = np.abs(drive)
@@ -31,12 +32,18 @@ def where_it_arrives(posed: PosedScene, skin: int, drive: Complex) -> tuple[Floa
 
 
 def turn_times(stimulus: StimulusModel, count: int) -> Float:
-    """Return times on one turn of the path of a stimulus [s], shape (count,); its start, shape (1,), without turns."""
+    """Return times in one turn of the path of a stimulus [s], shape (count,).
+
+    Without turns, return its start, shape (1,).
+    """
     rate = turn_rate_Hz(stimulus.config)
     count = count if rate else 1
     return np.asarray(stimulus.config.start_s + np.arange(count) / (count * (rate or 1.0)))
 
 
 def force_samples(model: HapticModel) -> int:
-    """Return the approximate number of force samples on bodies; 0 for a disc, whose skin is used."""
+    """Return the approximate number of force samples on bodies.
+
+    It is 0 for a disc, where the force is computed on the skin.
+    """
     return sum(0 if body.surface is None else body.sample_count for body in model.bodies)

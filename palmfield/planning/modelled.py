@@ -160,7 +160,10 @@ def _layer(skin: SkinModel) -> list[Row]:
 
 
 def _solver(skin: SkinModel, still_m: float) -> Row:
-    """Return the row of the stepper of a skin; still_m: largest displacement of its body that counts as none [m]."""
+    """Return the row for the stepper of a skin.
+
+    still_m: largest displacement of its body that counts as no motion [m]
+    """
     choice, solver, config = skin.choice, skin.solver, skin.spec.config
     size, why = f"about {choice.seconds:.0f} s", f"{choice.why}; {solver.steps}"
     if not solver.factorises:

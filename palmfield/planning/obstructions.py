@@ -1,4 +1,4 @@
-"""Warn of MuJoCo geoms between array and skin that are not obstacles: the simulated sound passes through them."""
+"""Warn about MuJoCo geoms between array and skin that are not obstacles. The simulated sound passes through them."""
 
 from collections.abc import Iterable
 
@@ -10,9 +10,9 @@ from palmfield.session.preview import Preview
 from palmfield.types import Float
 
 POINTS, TRANSDUCERS = 8, 32
-"""Numbers of skin points nearest to the focus, and of transducers, for the test rays."""
+"""Number of skin points nearest to the focus, and number of transducers, between which test rays run."""
 BEGIN_M, END_M = 1e-3, 5e-3
-"""Distances of the ends of rays from skin and transducers [m], since the board may have a geom."""
+"""Distances between the ends of a ray and the skin or the transducers [m]. The board itself may have a geom."""
 SHARE = 0.05
 """Fraction of blocked rays above which a warning is given."""
 MOST_HITS = 64
@@ -20,9 +20,9 @@ MOST_HITS = 64
 
 
 def obstructions(view: Preview) -> list[str]:
-    """Return a sentence for each skin and each body with geoms in the path of its sound, in the present pose.
+    """Return a sentence for each skin and each body whose geoms are in the path of the sound, in the present pose.
 
-    Bodies with skins or arrays, their descendants, and those in key `obstacles` are ignored.
+    Bodies with skins or arrays, their descendants, and the bodies in key `obstacles` are ignored.
     """
     model, data, runtime = view.data.model, view.data, view.runtime
     expected = _expected(view)
@@ -51,7 +51,7 @@ def obstructions(view: Preview) -> list[str]:
 
 
 def _expected(view: Preview) -> set[int]:
-    """Return bodies of skins and arrays, named obstacles, and the descendants of all these."""
+    """Return the bodies of skins and arrays, the bodies in key `obstacles`, and all their descendants."""
     model, binding = view.data.model, view.runtime.binding
     sites = [*binding.array_sites, *(site for own in binding.transducer_sites for site in own)]
     named = {name for skin in view.runtime.spec.skins for name in skin.config.obstacles}
@@ -74,8 +74,9 @@ def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
 
 
 def _met(model: mujoco.MjModel, data: mujoco.MjData, begin: Float, end: Float, expected: set[int]) -> Iterable[int]:
-    """Yield other bodies whose geoms a ray hits, each once. begin, end: ends of the ray in the world [m], shape
-    (3,).
+    """Yield the other bodies whose geoms a ray hits, each once.
+
+    begin, end: ends of the ray in the world [m], shape (3,)
     """
     length = float(np.linalg.norm(end - begin)) - END_M
     way, travelled, found = (end - begin) / np.linalg.norm(end - begin), 0.0, set()

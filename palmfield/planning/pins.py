@@ -7,7 +7,7 @@ from palmfield.skin.scene_layer import layer_sizes
 from palmfield.stimulus.schedule import main_frequencies
 
 SLACK = 1.05
-"""Largest ratio of a size set by a key to the chosen size that is accepted."""
+"""Largest accepted ratio of a size that a key sets to the size that palmfield would choose."""
 
 
 def coarse_pins(model: HapticModel, number: int) -> list[str]:

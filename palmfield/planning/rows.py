@@ -1,4 +1,4 @@
-"""The rows of a plan: one decision each."""
+"""The rows of a plan. Each row is one decision."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 class Row:
     """One decision.
 
-    size: resolution, error bound or cost; why: the reason, in words
+    size: resolution, error bound or cost
+    why: the reason, in words
     instance: name of the skin, stimulus or array, several separated by commas; empty for the whole scene
     """
 

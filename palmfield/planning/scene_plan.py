@@ -1,4 +1,4 @@
-"""Report before a run which effects of a scene are modelled or ignored and why, and the cost."""
+"""Report, before a run, which effects of a scene are modelled, which are ignored and why, and the cost."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -24,13 +24,13 @@ __all__ = ["Plan", "Row", "plan", "warnings"]
 WIDTH = 130
 """Width of the tables in columns, unless the terminal is narrower."""
 NOT_ESTIMATED = "not estimated"
-"""Size of an ignored effect whose bias is unknown, see `palmfield.estimate.bias.Bias`."""
+"""Text for an ignored effect whose bias is unknown, see `palmfield.estimate.bias.Bias`."""
 SHORT = ("sound field", "modulation", "sending", "skin layer", "elements", "error estimate", "preparing")
-"""Modelled effects in the short table, with the solver of each skin."""
+"""Names of the modelled effects in the short table, which also has the solver of each skin."""
 
 
 def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[str], seconds: float) -> str:
-    """Return a text with expected wall time [s], a table for each part, by title, and the warnings."""
+    """Return a text with the expected wall time [s], a titled table for each part, and the warnings."""
     every = [row for rows in parts.values() for row in rows]
     # If there is one of each kind, names are not needed
     named = any("," in row.instance for row in every) or (
@@ -50,7 +50,7 @@ class Plan:
     """Decisions for a scene.
 
     left_out: effects that are not modelled, with their bias on the skin displacement under the focus
-    besides: other effects that are not modelled
+    besides: other effects that are not modelled, whose bias is not estimated
     error: expected error of the skin displacement under the focus
     seconds: expected wall time of `palmfield run` on two CPU cores [s], pictures included
     """
@@ -65,7 +65,7 @@ class Plan:
     numbers: Mapping[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the plan for JSON, with units in the names; rows are texts, `numbers` as in `planning.numbers`."""
+        """Return the plan for JSON, with units in the names. Rows are texts; for `numbers` see `planning.numbers`."""
         rows = {"modelled": self.modelled, "left_out": self.left_out, "besides": self.besides}
         rows["expected_error"] = self.error
         return {
@@ -77,7 +77,7 @@ class Plan:
         }
 
     def short(self) -> str:
-        """Return the main decisions as a table without reasons, about 20 lines for one skin, and the warnings."""
+        """Return the main decisions as a table without reasons (about 20 lines for one skin), and the warnings."""
         shown = [row for row in self.modelled if row.what in SHORT or row.what.startswith("skin solver")]
         rows = [(name, row.size) for name, row in zip(_names(shown), shown, strict=True)]
         left = [row for row in self.left_out if row.size != NOT_ESTIMATED]
@@ -105,7 +105,7 @@ class Plan:
 
 
 def _names(rows: Sequence[Row]) -> list[str]:
-    """Return the names of rows, with their instances where names are equal."""
+    """Return the names of rows. Where several rows have the same name, their instances are added."""
     names = [row.what for row in rows]
     return [row.what if names.count(row.what) == 1 else f"{row.what}, {row.instance}" for row in rows]
 
@@ -125,9 +125,9 @@ def plan(
 ) -> Plan:
     """Decide which effects to model, from the stimuli, surfaces and accuracy of a scene, without simulation.
 
-    scene: a path, an MjSpec, a compiled model or a Simulation; duration_s: duration of the run [s], default that of
-    the scene;
-        for the other arguments see `palmfield.load`
+    scene: a path, an MjSpec, a compiled model or a Simulation
+    duration_s: duration of the run [s]; the default is that of the scene
+    Other arguments: see `palmfield.load`
     Raises SceneError as `palmfield.load` does, if a skin layer cannot be built, and for a duration that is not > 0.
     """
     if duration_s is not None:
@@ -149,7 +149,10 @@ def plan(
 
 
 def warnings(scene: Source | Simulation, duration_s: float | None = None) -> list[str]:
-    """Return warnings before the run, in words; duration_s: duration of the run [s], default that of the scene."""
+    """Return the warnings before a run, in words.
+
+    duration_s: duration of the run [s]; the default is that of the scene
+    """
     view = preview(scene)
     return advice(view if duration_s is None else replace(view, duration_s=duration_s))
 

@@ -1,6 +1,6 @@
-"""Warn of skin patches that the sound does not reach during the motion: hidden, turned away, edge-on, too far.
+"""Warn about skin patches that the sound does not reach during the motion: hidden, turned away, edge-on, too far.
 
-The check before the run is cheap: it uses straight rays from the transducers at some moments.
+This check before the run is cheap: it uses straight rays from the transducers at some moments.
 """
 
 import math
@@ -19,15 +19,18 @@ from palmfield.stimulus.schedule import frames_at
 from palmfield.types import Float, Surface
 
 MOMENTS, COURSE = 32, 16
-"""Number of moments of a motion, and of points of a path on fixed bodies, for the check."""
+"""Number of moments of a motion, and number of points of a path on fixed bodies, that are checked."""
 POINTS = 48
 """Largest number of points of a patch."""
 EDGE_ON = math.sin(math.radians(15.0))
-"""Mean cosine between skin normal and rays to the transducers below which a patch is edge-on."""
+"""Mean cosine between the skin normal and the rays to the transducers, below which a patch counts as edge-on."""
 HIDDEN = 0.75
-"""Visible fraction of the part that faces the array below which a patch is hidden; its ARP is about half or less."""
+"""Visible fraction of the side that faces the array, below which a patch counts as hidden.
+
+Its ARP is about half or less.
+"""
 CLEARANCE_M = 1e-3
-"""Height above the skin at which rays begin [m], since smooth patches may lie below the meshes of their bodies."""
+"""Height above the skin at which rays begin [m]. Smooth patches may lie below the meshes of their bodies."""
 KINDS = {
     "turned away": "skin '{skin}' faces away from the array at the focus of stimulus '{stimulus}'",
     "edge-on": "skin '{skin}' is edge-on to the array at the focus of stimulus '{stimulus}'",
@@ -38,12 +41,15 @@ KINDS = {
 
 
 class Visibility(NamedTuple):
-    """Visibility of a skin around its focus for the transducers of a stimulus; of the whole layer if the focus is far.
+    """Visibility of a skin around its focus, from the transducers of a stimulus.
 
-    With arrays on several sides of a body it is that of the array with the best view.
-    time_s: [s]; near: whether the focus is close to the skin; facing: fraction of rays to the transducers that leave on
-    the outer side; incidence: mean cosine of these rays to the normal, negative from behind
-    lit: visible fraction of the area of the patch, with equal transducers
+    If the focus is far from the skin, it is that of the whole layer. With arrays on several sides of a body, it is the
+    visibility from the array with the best view.
+    time_s: time [s]
+    near: whether the focus is close to the skin
+    facing: fraction of the rays to the transducers that leave on the outer side
+    incidence: mean cosine between these rays and the normal, negative from behind
+    lit: visible fraction of the area of the patch, if all transducers are equal
     """
 
     time_s: float
@@ -54,7 +60,7 @@ class Visibility(NamedTuple):
 
     @property
     def kind(self) -> str | None:
-        """The key of KINDS that applies, or None."""
+        """Key of KINDS that applies, or None."""
         if not self.near:
             return "too far"
         if self.facing < 0.5:
@@ -65,9 +71,9 @@ class Visibility(NamedTuple):
 
 
 def hidden_patches(view: Preview) -> list[str]:
-    """Return a sentence for each skin and each of KINDS that occurs, with its frequency and the visible share.
+    """Return a sentence for each skin and each of KINDS that occurs, with how often it occurs and the visible fraction.
 
-    A skin without a close focus is ignored. "Too far" is reported only if it holds at more than half of the moments.
+    A skin without a close focus is ignored. "Too far" is reported only if it is true at more than half of the moments.
     """
     result = []
     for skin, results in enumerate(_over_motion(view)):
@@ -89,9 +95,9 @@ def hidden_patches(view: Preview) -> list[str]:
 
 
 def _over_motion(view: Preview) -> list[list[list[Visibility]]]:
-    """Return visibility by skin and stimulus, at times between start and stop of the stimulus.
+    """Return the visibility by skin and stimulus, at times between start and stop of the stimulus.
 
-    Without motion the times are on one turn of its path.
+    Without motion, the times are those of one turn of the path.
     """
     model = view.runtime.model
     result: list[list[list[Visibility]]] = [[[] for _ in model.stimuli] for _ in model.skins]
@@ -111,14 +117,14 @@ def _over_motion(view: Preview) -> list[list[list[Visibility]]]:
 
 
 def _sounding(stimulus: StimulusModel, time_s: float) -> Float:
-    """Return the time [s] if it is between start and stop of a stimulus, shape (1,) or (0,)."""
+    """Return the time [s] if the stimulus is active then, shape (1,), or an empty array, shape (0,)."""
     config = stimulus.config
     on = config.start_s <= time_s < (math.inf if config.stop_s is None else config.stop_s)
     return np.full(int(on), time_s)
 
 
 def _everything(posed: PosedScene) -> Surface:
-    """Return all objects that can block sound, as one mesh in the array frame."""
+    """Return one mesh, in the array frame, of all objects that can block sound."""
     parts = [(body.vertices_in_array, body.faces) for body in posed.bodies]
     parts += [skin.obstacles for skin in posed.skins if skin.obstacles is not None]
     firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])

@@ -1,4 +1,4 @@
-"""Continue a simulation with changed keys of its stimuli, if its skins use modes for every load."""
+"""Continue a simulation with changed keys of its stimuli. Its skins must use modes that are valid for every load."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,17 +10,17 @@ from palmfield.simulation.model import HapticModel
 from palmfield.simulation.state import WHOLE, at_rest, claim, stepper_of
 
 LEAST_SPOT = 0.8
-"""Smallest spot relative to that of the mesh of a layer; a smaller spot needs finer elements."""
+"""Smallest spot, relative to the spot for which a layer was meshed. A smaller spot needs finer elements."""
 
 
 def change_stimuli(sim: Simulation, texts: Mapping[str, Mapping[str, str]]) -> bool:
-    """Change the keys of the stimuli of a running simulation if its skins allow it; return whether they do.
+    """Change keys of the stimuli of a running simulation if its skins allow it; return whether they do.
 
     texts: texts of all keys of some stimuli, by instance and key
-    Time, poses and the motion of skins are unchanged, and the new keys apply from the next step. Not allowed are a skin
-    with a stepper for one load or with the full wedge model, a key that names parts of the scene, and a sound that
-    needs a finer mesh; then the simulation is unchanged. The MuJoCo model keeps the old texts. Raises SceneError or
-    DeviceError for invalid values; the simulation is unchanged.
+    Time, poses and the motion of the skins do not change. The new keys apply from the next step.
+    A change is not possible in these cases: a skin has a stepper for one load, or the full wedge model; a key names
+    parts of the scene; the sound needs a finer mesh. The simulation is then unchanged. The MuJoCo model keeps the old
+    texts. Raises SceneError or DeviceError for invalid values; the simulation is then unchanged.
     """
     runtime = sim.runtime
     old, state = runtime.model, runtime.state
@@ -50,7 +50,7 @@ def change_stimuli(sim: Simulation, texts: Mapping[str, Mapping[str, str]]) -> b
 
 
 def _meshed_for(present: HapticModel, other: HapticModel) -> bool:
-    """Return whether the layers of a model are fine enough for the sound of another model on the same bodies."""
+    """Return whether the layers of a model are fine enough for the sound of another model with the same bodies."""
     carriers = [other.bodies[skin.body] for skin in other.skins]
     demands = demands_of(other.spec, other.stimuli, other.arrays, other.board, carriers)
     return all(

@@ -1,4 +1,4 @@
-"""Place the hand of a scene by the caller instead of its script."""
+"""Let the caller, instead of a script, place the hand of a scene."""
 
 import copy
 from collections.abc import Callable, Mapping
@@ -17,13 +17,16 @@ from palmfield.simulation.posed_scene import PosedScene
 
 
 class LiveScene:
-    """A copy of a scene with exactly one moving hand.
+    """A copy of a scene that has exactly one moving hand.
 
-    runtime: runtime of the copy; hand: its joints; script: scripted motion of the hand; motion: name of its instance
+    runtime: runtime of the copy
+    hand: joints of the hand
+    script: scripted motion of the hand
+    motion: name of its instance
     """
 
     def __init__(self, view: Preview) -> None:
-        """Copy a scene. Raises SceneError if it moves no hand or several."""
+        """Copy a scene. Raises SceneError if the scene moves no hand, or several hands."""
         self._data = copy.copy(view.data)
         world = world_of(self._data)
         assert world is not None and world.scene is not None
@@ -35,7 +38,7 @@ class LiveScene:
         self.script: Callable[[float], HandPose] = script.at
 
     def posed(self, pose: HandPose) -> PosedScene:
-        """Return the scene with the hand in a pose. Raises SceneError if it reaches into an array."""
+        """Return the scene with the hand in a pose. Raises SceneError if the hand reaches into an array."""
         self._module.motion = HandMotion(self.hand, lambda _: pose)
         self._module.place()
         mujoco.mj_kinematics(self._data.model, self._data)
@@ -43,7 +46,10 @@ class LiveScene:
 
 
 def scripts(data: mujoco.MjData) -> dict[str, MotionModule]:
-    """Return the modules that move bodies by script, by instance; assigning `motion` of a module acts at once."""
+    """Return, by instance, the modules that move bodies by script.
+
+    A new value of their `motion` takes effect at once.
+    """
     world = world_of(data)
     assert world is not None
     names = {number: name for number, _, name in world.model.instances()}

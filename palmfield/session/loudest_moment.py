@@ -1,4 +1,4 @@
-"""Describe the moment of the highest ARP on a skin, and its points."""
+"""Describe the moment with the highest ARP on a skin, and points of the skin at this moment."""
 
 from dataclasses import dataclass, replace
 
@@ -16,8 +16,10 @@ from palmfield.types import Complex, Float
 class LoudestMoment:
     """The moment of a run with the highest ARP on a skin.
 
-    time_s: MuJoCo time [s]; posed: pose at this time
-    drive: emission of all transducers relative to full drive, shape (N,); factor: factor of the ARP
+    time_s: MuJoCo time [s]
+    posed: pose at this time
+    drive: emission of all transducers relative to full drive, shape (N,)
+    factor: factor of the ARP
     """
 
     time_s: float
@@ -27,23 +29,23 @@ class LoudestMoment:
 
 
 def at_full_level(loudest: LoudestMoment) -> LoudestMoment:
-    """Return the moment with the loudest transducer at full drive: relative errors are equal at all levels.
+    """Return the moment with the drive scaled so that the loudest transducer is at full drive.
 
-    The drive has no last digits, so that all levels give the same numbers.
+    Relative errors do not depend on the level. The drive is rounded, so that all levels give exactly the same numbers.
     """
     drive, _ = known_load.at_full_level(loudest.drive)
     return replace(loudest, drive=drive, factor=1.0)
 
 
 def nearest_focus(foci: Float, nodes: Float) -> Float:
-    """Return the focus, of shape (3,) or (k, 3), closest to the nodes of a skin, shape (S, 3); shape (3,)."""
+    """Return the focus that is closest to the nodes of a skin, shape (3,). foci: (3,) or (k, 3); nodes: (S, 3)"""
     places = np.atleast_2d(foci)
     nearest: Float = places[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in places]))]
     return nearest
 
 
 def loudest_place(posed: PosedScene, skin: int, radiation: Radiation, drive: Complex) -> tuple[Float, Float]:
-    """Return a node with the highest ARP on a skin under a drive of all transducers (N,), and its outward normal.
+    """Return the node of highest ARP on a skin under a drive of all transducers (N,), and its outward normal.
 
     Both are in the frame of the first array, shapes (3,) [m]. In silence it is the first node.
     """

@@ -1,4 +1,4 @@
-"""Migrate scenes of the last version: rewrite renamed keys, and leave the rest unchanged."""
+"""Migrate scenes of the previous version: rewrite renamed keys, and leave everything else unchanged."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -11,14 +11,15 @@ from palmfield.session.scene_edit import Edit, edited, indent_of, tag_of, with_a
 from palmfield.session.scene_text import Element, elements_of, read_scene_text
 
 MOVED = {("palmfield.array", "compute"): "palmfield_device"}
-"""Keys that are now a custom text of the whole scene."""
+"""Keys that have become a custom text of the whole scene."""
 
 
 class Migrated(NamedTuple):
-    """The file of a scene with the names of this version.
+    """A scene file with the names of this version.
 
-    text: text of the file; changes: one sentence each
-    others: included files with old names
+    text: text of the file
+    changes: one sentence for each change
+    others: included files that contain old names
     """
 
     text: bytes
@@ -75,9 +76,10 @@ def migrated(path: Path) -> Migrated:
 
 
 def migrate(path: Path, out: Path | None = None, *, overwrite: bool = False) -> Migrated:
-    """Write the file of a scene with the names of this version; if there are no old names, no file is written.
+    """Write a scene file with the names of this version. If it has no old names, no file is written.
 
-    out: file to write, default that of the scene; overwrite: whether an existing file may be replaced
+    out: file to write, default the file itself
+    overwrite: whether an existing file may be replaced
     Raises SceneError as `migrated` does, OutputError if a file may not be replaced or cannot be written.
     """
     result = migrated(path)
@@ -94,7 +96,7 @@ def migrate(path: Path, out: Path | None = None, *, overwrite: bool = False) -> 
 
 
 def _keys(elements: list[Element]) -> list[tuple[type[Config], Element]]:
-    """Return elements that set keys of palmfield's plugins, with the configuration model."""
+    """Return the elements that set keys of palmfield's plugins, each with the configuration model of the plugin."""
     configs = {config.plugin: config for config in CONFIGS}
     result = []
     for element in elements:
@@ -111,7 +113,7 @@ def _is_old(config: type[Config], element: Element) -> bool:
 
 
 def _renamed(config: type[Config], key: str, value: str) -> tuple[str, str]:
-    """Return a key and its value under their present names."""
+    """Return a key and its value with their present names."""
     use = config.renamed.get(key)
     if use in config.model_fields:
         key = str(use)
@@ -119,7 +121,7 @@ def _renamed(config: type[Config], key: str, value: str) -> tuple[str, str]:
 
 
 def _custom_text(data: bytes, elements: list[Element], name: str, value: str) -> Edit:
-    """Return the edit that adds a custom text to the existing <custom> or to a new one before the plugins."""
+    """Return the edit that adds a custom text: to the existing <custom>, or to a new one before the plugins."""
     quoted = value.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     text = f'<text name="{name}" data="{quoted}"/>'.encode()
     custom = next((e for e in elements if e.tag == "custom"), None)

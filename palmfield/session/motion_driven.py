@@ -1,4 +1,4 @@
-"""Motion of a skin under the acceleration of its bones, during a recorded run."""
+"""Motion of a skin that the acceleration of its bones causes, during a recorded run."""
 
 import numpy as np
 
@@ -13,13 +13,15 @@ from palmfield.types import Float, Float32
 
 
 class MotionDriven:
-    """The part of the motion of a skin that is driven by its bones, from rest at the first time.
+    """The part of the motion of a skin that its bones drive. It starts from rest at the first time.
 
-    It is independent of the sound, because the layer is linear and its motion acts on no body.
+    This part does not depend on the sound, because the layer is linear and its motion acts on no body.
 
-    Times are at the interval of MuJoCo's steps, within which accelerations are linear. Raises SceneError as
-    `bone_accelerations`. model: reduced model of the layer, made when a bone accelerates; None before
-    hardest: the accelerations with the largest displacement so far, as `FrameRates.numbers` of the bones of the layer
+    Times are multiples of the MuJoCo step; accelerations are linear within a step. Raises SceneError as
+    `bone_accelerations`.
+
+    model: reduced model of the layer, made when a bone first accelerates; None before
+    hardest: accelerations with the largest displacement so far, as `FrameRates.numbers` of the bones of the layer
     """
 
     def __init__(self, world: World, number: int) -> None:
@@ -58,9 +60,10 @@ class MotionDriven:
         return result
 
     def edge_error(self) -> float:
-        """Return the error by the cut sides: half of the relative change if they are free instead of held, or held.
+        """Return the error due to the cut sides: half of the change when fixed sides become free, or the reverse.
 
-        It is the change of the static displacement under `hardest`, in L2 over the nodes within half of the radius.
+        It is the relative change of the static displacement under `hardest`, in the L2 norm over the nodes within half
+        of the radius.
         """
         if self.model is None:
             return 0.0

@@ -1,4 +1,4 @@
-"""Translate MuJoCo's messages about a scene: position, error and remedy."""
+"""Translate MuJoCo's messages about a scene to three parts: position, error and remedy."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -10,13 +10,16 @@ from palmfield.errors import did_you_mean
 from palmfield.session.scene_text import Element, SceneText
 
 AT = re.compile(r"\bElement(?: name)? '(?P<name>[^']*)'(?:, id -?\d+)?(?:, line (?P<line>\d+))?\s*$")
-"""Position at the end of a message: tag of the element during parsing, its name during compilation."""
+"""Position at the end of a message: tag of the element (error in parsing) or its name (error in compilation)."""
 
 
 def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence[str]) -> str:
     """Return one line: file and line if available, element, error, and allowed values.
 
-    message: message of MuJoCo; scene: its name; text: its files, if it has any; plugins: names that palmfield registers
+    message: message of MuJoCo
+    scene: name of the scene
+    text: files of the scene, if it has any
+    plugins: names of the plugins that palmfield registers
     """
     cause, name, line = _parts(message)
     element = None if text is None else _element(cause, name, line, text)
@@ -36,9 +39,9 @@ def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence
 
 
 def _parts(message: str) -> tuple[str, str, int]:
-    """Return MuJoCo's message, its element (tag during parsing, name during compilation), and its line.
+    """Return MuJoCo's message, its element (tag in parsing, name in compilation), and its line.
 
-    The line is 0 if MuJoCo gives none, as for included files.
+    The line is 0 if MuJoCo gives no line, as for included files.
     """
     plain = " ".join(message.split())
     while plain.startswith(("XML Error: ", "Error: ")):
@@ -50,7 +53,10 @@ def _parts(message: str) -> tuple[str, str, int]:
 
 
 def _element(cause: str, name: str, line: int, text: SceneText) -> Element | None:
-    """Return the element of a message. MuJoCo gives no lines in included files, so all files are searched."""
+    """Return the element to which a message refers.
+
+    MuJoCo gives no lines in included files, so all files are searched.
+    """
     if line:
         return text.at(text.file, line, name)
     twice = re.search(r"repeated name '([^']*)' in plugin", cause)
@@ -150,12 +156,12 @@ FAULTS: tuple[tuple[str, str | Words], ...] = (
         "moves and has no mass; give the body a geom, an <inertial>, or no joint",
     ),
 )
-"""MuJoCo's messages, and their translation with allowed values: \\1 is a group, {value} the attribute of group 1."""
+r"""MuJoCo's messages, with their translation and allowed values. \1 is a group; {value} is the attribute in group 1."""
 
 
 @cache
 def _schema() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
-    """Return attributes and children of each MuJoCo element, by tag; a tag used in several places has all of them."""
+    """Return the attributes and children of each MuJoCo element, by tag. A tag with several places has all of them."""
     parts: dict[str, tuple[list[str], list[str]]] = {}
     holders: list[tuple[int, str]] = []
     tag = ""

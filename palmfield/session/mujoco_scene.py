@@ -1,4 +1,4 @@
-"""MuJoCo's bodies, geoms and joints as plain arrays of a result, for the physics of a USD scene."""
+"""Convert MuJoCo's bodies, geoms and joints to plain arrays of a result. A USD scene needs them for its physics."""
 
 from typing import Any
 
@@ -10,9 +10,8 @@ from palmfield.types import Float
 
 
 def mujoco_arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
-    """Return the bodies of a model as variables of group /mujoco/scene, without empty variables.
-
-    Bodies without a name are named body_N, geoms geom_N, joints joint_N.
+    """Return the bodies of a model as variables of group /mujoco/scene, without empty variables. Names are added to
+    elements without a name: body_N, geom_N, joint_N.
     """
     made: dict[str, NDArray[Any]] = {
         "body_name": _names(model, mujoco.mjtObj.mjOBJ_BODY, "body", model.nbody),
@@ -72,7 +71,7 @@ def _names(model: mujoco.MjModel, kind: mujoco.mjtObj, otherwise: str, count: in
 
 
 def _colours(model: mujoco.MjModel) -> Float:
-    """Return the colours of geoms, from their materials if any, shape (geoms, 4)."""
+    """Return the colours of geoms, shape (geoms, 4). If a geom has a material, the colour is that of the material."""
     own = model.geom_rgba.astype(np.float64)
     chosen = model.geom_matid >= 0
     own[chosen] = model.mat_rgba[model.geom_matid[chosen]]

@@ -1,4 +1,4 @@
-"""Make MuJoCo's model and data from a scene file, an MjSpec or a compiled model, with changed keys."""
+"""Make MuJoCo's model and data from a scene file, an MjSpec or a compiled model. Keys may be changed."""
 
 import logging
 import re
@@ -29,12 +29,12 @@ Source: TypeAlias = str | Path | mujoco.MjSpec | mujoco.MjModel
 
 
 class Options(TypedDict, total=False):
-    """Settings that replace those of a scene; None: no change.
+    """Settings that replace those of a scene. None leaves a setting unchanged.
 
     device: device of the fields (auto, cpu, cuda:N); accuracy: target relative error of the displacement of
         all skins; board: board that plays the drive, with its layout and rate (`palmfield.session.other_board`)
-    keys: changed keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
-        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None, "" or () removes a key
+    keys: changed keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as {"stimulus.focus_m": (0, 0,
+        0.19)}. Values are numbers, text, sequences and arrays; None, "" or () removes a key
     """
 
     device: str | None
@@ -52,7 +52,7 @@ def compiled(source: Source, **options: Unpack[Options]) -> tuple[str, mujoco.Mj
     """Return the name of a scene, the MuJoCo model, and data at time 0 with hands placed by their motions.
 
     source: MJCF file, MjSpec (not changed), or a compiled model, whose keys cannot change; options: see `Options`
-    Raises SceneError (or DeviceError) with a one-line message with element, key, value and allowed values.
+    Raises SceneError or DeviceError. The message is one line with element, key, value and allowed values.
     """
     device = options.get("device")
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
@@ -78,7 +78,7 @@ def compiled(source: Source, **options: Unpack[Options]) -> tuple[str, mujoco.Mj
 
 
 def _compiled_with(scene: "Opened", options: Options) -> mujoco.MjModel:
-    """Return the model of a scene, see `compiled`; the changed keys remain in its spec."""
+    """Return the model of a scene, see `compiled`. The changed keys stay in the spec of the scene."""
     name, spec, folder, text = scene
     device, accuracy, board = options.get("device"), options.get("accuracy"), options.get("board")
     _check_plugins(spec, name)
@@ -120,9 +120,9 @@ def _compiled_with(scene: "Opened", options: Options) -> mujoco.MjModel:
 
 @contextmanager
 def _restored(spec: mujoco.MjSpec) -> Iterator[None]:
-    """Restore keys and device of a spec at the end.
+    """Restore keys and device of a spec at the end of the block.
 
-    A copy is not possible: MuJoCo 4.0 drops plugins that no element refers to, such as most of palmfield's.
+    A copy of the spec is not possible: MuJoCo 4.0 drops plugins to which no element refers, as most of palmfield's.
     """
     configs = [(plugin, dict(plugin.config)) for plugin in spec.plugins]
     devices = [text.data for text in spec.texts if text.name == DEVICE]
@@ -156,9 +156,11 @@ def as_text(value: object) -> str:
 
 
 class Opened(NamedTuple):
-    """A scene that is read but not compiled.
+    """A scene that has been read but not compiled.
 
-    name: name for messages; folder: folder to which its files are relative; text: its files, None for an MjSpec
+    name: name for messages
+    folder: folder to which its file names are relative
+    text: files of the scene, None for an MjSpec
     """
 
     name: str
@@ -188,7 +190,7 @@ def opened(source: str | Path | mujoco.MjSpec) -> Opened:
 
 
 def no_scene(path: Path) -> str:
-    """Return the error for a missing scene, with similar names: from its folder or from the scenes of palmfield."""
+    """Return the error for a missing scene. It lists similar names in the same folder or among palmfield's scenes."""
     if path.is_dir():
         return f"scene {path} is a folder; allowed: the path of an MJCF file, for example {path / 'scene.xml'}"
     shipped = data_folder("mjcf") / "scenes"
@@ -209,7 +211,7 @@ def _check_plugins(spec: mujoco.MjSpec, name: str) -> None:
 
 
 def _check_names(text: SceneText) -> None:
-    """Raise SceneError for palmfield instances without a name, because keys and results refer to names."""
+    """Raise SceneError for palmfield instances without a name. Keys and results refer to instances by name."""
     for one in text.elements:
         holder = one.within("plugin") if one.tag == "instance" else None
         plugin = "" if holder is None else holder.attributes.get("plugin", "")
@@ -229,8 +231,10 @@ def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
 
 
 def _check_sensor_places(data: mujoco.MjData, name: str, text: SceneText | None) -> None:
-    """Raise SceneError, with file and line, for sensors that are not on their skin, and for bones whose acceleration
-    key inertia cannot use; name, text: name and text of the scene.
+    """Check the sensors, and the bones if key inertia is on. name, text: name and text of the scene
+
+    Raises SceneError, with file and line, for a sensor that is not on its skin, and for a bone whose acceleration key
+    inertia cannot use.
     """
     world = world_of(data)
     if world is None or world.scene is None:
@@ -256,7 +260,7 @@ def _without_objtype(scene: str, sensor: str, plugin: str) -> SceneError:
 
 
 def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[str, object]]:
-    """Return values by instance name. Raises SceneError for unknown instances, plugins and keys."""
+    """Return the changed values by instance name. Raises SceneError for unknown instances, plugins and keys."""
     result: dict[str, dict[str, object]] = {}
     set_by: dict[tuple[str, ...], str] = {}
     instances = {plugin.name for plugin in spec.plugins}
@@ -318,7 +322,7 @@ def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) 
 
 
 def _explained(error: Exception, name: str, text: SceneText | None) -> BaseException:
-    """Return the error of a module with its position, or the translated error of MuJoCo."""
+    """Return the error to show: that of a module with its position, or MuJoCo's error in translation."""
     cause = pop_compile_error()
     if isinstance(cause, PalmfieldError):
         place = _place(str(cause), name, text)
@@ -336,10 +340,7 @@ def _in_words(error: Exception, name: str, text: SceneText | None) -> str:
 
 
 def _place(message: str, name: str, text: SceneText | None) -> str:
-    """Return file and line of the key, instance or setting at the beginning of a message.
-
-    If the line is unknown, return the name of the scene.
-    """
+    """Return the file and line of the key, instance or setting with which a message begins."""
     named = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
     element = text.key(named[1], named[2], named[3] or "") if named and text is not None else None
     sensor = re.search(r"instance '[^']*': sensor '([^']*)'", message)
@@ -352,7 +353,7 @@ def _place(message: str, name: str, text: SceneText | None) -> str:
 
 
 def instances_of(source: str | Path, keys: Mapping[str, object]) -> tuple[list[Instance], dict[str, dict[str, object]]]:
-    """Return plugin instances of a scene, and changed keys by instance as in `compiled`, without compilation.
+    """Return the plugin instances of a scene, and its changed keys by instance (see `compiled`), without compilation.
 
     Raises SceneError for a scene that cannot be read, and for unknown instances, plugins and keys.
     """

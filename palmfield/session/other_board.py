@@ -1,4 +1,4 @@
-"""Change the keys of a scene for another board: the board, its layout, and its frame rate."""
+"""Change the keys of a scene so that another board plays it: the board, its layout, and its frame rate."""
 
 from collections.abc import Mapping, Sequence
 
@@ -21,7 +21,7 @@ OF_ONE_LAYOUT = (
     "sites", "transducers", "calibration", "p0_Pa_m", "p0_low_Pa_m", "p0_high_Pa_m", "directivity", "piston_radius_m",
     "dead", "inverted", "quality",
 )  # fmt: skip
-"""Keys that depend on the transducers of one layout."""
+"""Keys that are valid only for the transducers of one layout."""
 OF_ONE_BOARD = ("board", "compensate", "duty_exponent", *SAFETY_KEYS)
 """Keys of palmfield.driver that every board has."""
 
@@ -29,8 +29,9 @@ OF_ONE_BOARD = ("board", "compensate", "duty_exponent", *SAFETY_KEYS)
 def exchange_board(scene: str, plugins: Sequence[Instance], name: str, timestep_s: float) -> list[str]:
     """Replace the board of a scene; return the changes, in words.
 
-    Arrays get the layout of the board, without calibration data of the old transducers. Stimuli without steps get the
-    frame rate of the board. Raises DeviceError for an unknown board, SceneError for a scene without palmfield.driver.
+    Arrays get the layout of the new board, and lose the calibration of the old transducers. Stimuli without steps get
+    the frame rate of the board. Raises DeviceError for an unknown board, SceneError for a scene without
+    palmfield.driver.
     """
     board = board_named(name)
     drivers = [plugin for plugin in plugins if plugin.plugin == DRIVER]
@@ -78,7 +79,10 @@ def _exchange_layout(array: Instance, board: Board, focus: str | None) -> list[s
 
 
 def _size(name: str, focus: str | None) -> str:
-    """Describe count, aperture and p0 of a layout, and its ARP at a focus (or its usual focus) at full drive."""
+    """Describe a layout: number of transducers, aperture, p0, and the ARP at full drive at a focus.
+
+    Without `focus`, the usual focus of the layout is used.
+    """
     made = layout(name)
     wide, high = 1e3 * np.ptp(made.positions, axis=0)[:2]
     place = np.array(LAYOUTS[name].focus_m if focus is None else [float(x) for x in focus.split()])
@@ -93,7 +97,7 @@ def _size(name: str, focus: str | None) -> str:
 
 
 def _without_steps(keys: Mapping[str, str], board: Board) -> bool:
-    """Return whether a stimulus may change over time and has no rate."""
+    """Return whether a stimulus may change over time and defines no rate of steps."""
     if float(keys.get("control_rate_Hz", "0") or 0.0) > 0.0:
         return False
     path = keys.get("path", "point") != "point" and not float(keys.get("path_points", "0") or 0.0)

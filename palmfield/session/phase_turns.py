@@ -1,4 +1,4 @@
-"""Detect jumps of the phases between several foci of a stimulus, where two eigenvalues cross."""
+"""Detect jumps of the phases between the foci of a stimulus. They occur where two eigenvalues cross."""
 
 import numpy as np
 
@@ -6,17 +6,17 @@ from palmfield.drive.array_drive import ArrayDrive
 from palmfield.types import Complex, Float
 
 MOVED_WAVELENGTHS = 1.0 / 16.0
-"""Largest motion of a focus between two records [wavelengths]; beyond it jumps of phases are not counted."""
+"""Largest motion of a focus between two records [wavelengths]. For larger motions, phase jumps are not counted."""
 LOUDER = 1.0 / 16.0
-"""Largest change of the pressure of a focus between two records, relative to the loudest focus."""
+"""Largest change of the pressure of a focus between two records, relative to the loudest focus. Larger: not counted."""
 SAME = 0.7
-"""Smallest |v^H w| of the leading eigenvectors of two records that count as equal."""
+"""Smallest |v^H w| at which the leading eigenvectors v, w of two records count as equal."""
 
 
 class PhaseTurns:
     """Follows the leading eigenvector of the foci of a stimulus from record to record.
 
-    times: times of the records at which it jumped [s]
+    times: times of the records at which the eigenvector jumped [s]
     """
 
     def __init__(self) -> None:

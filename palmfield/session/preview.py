@@ -1,4 +1,4 @@
-"""Open a scene for inspection only: its model and poses, without the matrices of its skins."""
+"""Open a scene only for inspection: model and poses, without the matrices of its skins."""
 
 import copy
 from collections.abc import Iterable, Iterator
@@ -21,8 +21,9 @@ from palmfield.simulation.posed_scene import PosedScene
 class Preview:
     """A scene for plans, descriptions and players.
 
-    name: name for messages; duration_s: duration of a run [s]; data: data of MuJoCo, which must live as long as the
-    runtime
+    name: name for messages
+    duration_s: duration of a run [s]
+    data: MuJoCo data, which must exist as long as the runtime
     """
 
     name: str
@@ -31,13 +32,13 @@ class Preview:
     data: mujoco.MjData
 
     def poses(self, count: int) -> Iterator[PosedScene]:
-        """Yield the poses of `moments`."""
+        """Yield only the poses of `moments`."""
         return (posed for _, posed in self.moments(count))
 
     def moments(self, count: int) -> Iterator[tuple[float, PosedScene]]:
-        """Yield the present time [s] and pose and, if a script moves a part, `count` other ones over the run.
+        """Yield the present time [s] and pose. If a script moves a part, also yield `count` others during the run.
 
-        Poses in which a body reaches into an array are skipped, because the run reports them.
+        Poses in which a body reaches into an array are skipped, because the run itself reports them.
         """
         yield float(self.data.time), self.runtime.posed
         if not any(skin.moves for skin in self.runtime.spec.skins):
@@ -55,7 +56,7 @@ class Preview:
                 continue
 
     def posed_at(self, times: Iterable[float]) -> Iterator[tuple[float, SceneRuntime, PosedScene]]:
-        """Yield each of some rising times [s], with the runtime and the pose of its MuJoCo step.
+        """Yield each of some rising times [s], with the runtime and the pose of the MuJoCo step at this time.
 
         If a part moves, a copy of the scene without its skins is stepped. Raises the errors of modules in a step.
         """
@@ -83,9 +84,10 @@ class Preview:
 
 
 def preview(scene: Source | Simulation, **options: Unpack[Options]) -> Preview:
-    """Open a scene, or use a simulation in its present state.
+    """Open a scene for inspection, or use a simulation in its present state.
 
-    Arguments and errors as in `palmfield.session.open_scene.compiled`; keys of a simulation are fixed (SceneError).
+    Arguments and errors are those of `palmfield.session.open_scene.compiled`. Keys of a simulation are fixed
+    (SceneError).
     """
     if isinstance(scene, Simulation):
         if changes_any(options):

@@ -1,4 +1,4 @@
-"""Run a scene and write its results, or keep them in memory."""
+"""Run a scene, and write its results or keep them in memory."""
 
 import json
 import logging
@@ -40,7 +40,10 @@ LOG = logging.getLogger("palmfield.session")
 
 
 def _drawn_by(module: str, function: str, *args: Any, **more: Any) -> Any:
-    """Call a function of `palmfield.outputs`, so that Matplotlib and OpenUSD are loaded after the steps."""
+    """Return a function that calls a function of `palmfield.outputs`.
+
+    Matplotlib and OpenUSD are then loaded after the steps.
+    """
     with interrupts_delayed():  # OpenUSD would swallow Ctrl-C while it is loaded, and be incomplete
         drawing = getattr(import_module(f"palmfield.outputs.{module}"), function)
     return drawing(*args, **more)
@@ -57,9 +60,9 @@ PICTURES: tuple[tuple[str, Callable[..., None]], ...] = (
     ("scene.png", partial(_drawn_by, "render", "render_scene")),
     ("scene.usdc", partial(_drawn_by, "usd.write", "write_usd")),
 )
-"""Functions of a result and a path, and of an `image` if IN_PARALLEL has the name."""
+"""Functions of a result and a path. Functions whose name is in IN_PARALLEL also have the argument `image`."""
 IN_PARALLEL: dict[str, Callable[[Any], Any]] = {"scene.png": _scene_image}
-"""Images that a thread makes while other pictures are drawn, because ray casting releases the GIL."""
+"""Images that a thread makes while other pictures are drawn. This is useful because ray casting releases the GIL."""
 DRAWING = ("matplotlib", "pxr", *(f"palmfield.outputs.{name}" for name in ("plots", "render", "usd.write")))
 """Modules for these functions, which take half a second to load."""
 CONVENTIONS = {
@@ -75,7 +78,8 @@ CONVENTIONS = {
 class Result:
     """Result of a run.
 
-    out: folder, None for a run in memory; files: written files by name
+    out: folder, None for a run in memory
+    files: written files by name
     summary: the numbers of summary.json
     """
 
@@ -87,7 +91,7 @@ class Result:
 
     @property
     def dataset(self) -> xr.DataTree:
-        """Groups of the result (palmfield.outputs.schema), opened at first use and read lazily."""
+        """Groups of the result (palmfield.outputs.schema). The file is opened at the first use and read lazily."""
         if self._cached is not None:
             return self._cached
         if not self._opened:
@@ -96,10 +100,10 @@ class Result:
 
 
 class Estimates(NamedTuple):
-    """Functions that compute estimates for a complete run.
+    """Functions that compute the estimates of a complete run.
 
-    budgets: error budget of the motion of each skin, or why there is none
-    summary: all numbers, from the recording, the budgets, the result, and other numbers of the whole run
+    budgets: returns the error budget of the motion of each skin, or why there is none
+    summary: returns all numbers, from the recording, the budgets, the result, and other numbers of the whole run
     """
 
     budgets: Callable[[Simulation, Recorder, Progress], dict[str, Any]]
@@ -117,7 +121,7 @@ def run_recorded(
     plots: Sequence[str] | None,
     usd: bool,
 ) -> Result:
-    """Run a scene as `palmfield.run` does, with functions that estimate its errors."""
+    """Run a scene as `palmfield.run` does. `estimates` has the functions that estimate its errors."""
     started = time.perf_counter()
     if duration_s is not None:
         check_duration(duration_s)
@@ -199,7 +203,7 @@ def ending(tree: xr.DataTree) -> dict[str, Any]:
 
 @contextmanager
 def _carried_by_errors(result: Result) -> Iterator[None]:
-    """Set the results so far as attribute `result` of errors, and of Ctrl-C, in the block."""
+    """Set the present results as attribute `result` of each error, and of Ctrl-C, that leaves the block."""
     try:
         yield
     except (KeyboardInterrupt, Exception) as error:
@@ -210,7 +214,7 @@ def _carried_by_errors(result: Result) -> Iterator[None]:
 
 
 def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
-    """Assemble the data of a killed run, or complete the files of a run that was interrupted while drawing.
+    """Assemble the data of a killed run, or complete a run that was interrupted while it drew its pictures.
 
     progress: as in `run`
     Files of a killed USD export are reported but not removed, because they may be needed or still be written.
@@ -273,11 +277,11 @@ def draw(
 
 
 Drawn = Generator[tuple[str, Exception | None], None, None]
-"""Names of pictures, each with the error that prevented it."""
+"""Names of pictures, each with the error that prevented it or None."""
 
 
 def _drawn(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
-    """Draw pictures, and images of those in IN_PARALLEL in a thread."""
+    """Draw pictures, and in a thread the images of those in IN_PARALLEL."""
     make = dict(PICTURES)
     with ThreadPoolExecutor(1, "palmfield-picture") as thread:
         started = {name: thread.submit(begin, tree) for name, begin in IN_PARALLEL.items() if name in names}
@@ -291,7 +295,7 @@ def _drawn(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
 
 
 def _drawn_in_second_process(tree: xr.DataTree, out: Path, names: Sequence[str]) -> Drawn:
-    """Draw in the second process, and then in this one what it could not draw."""
+    """Draw pictures in the second process. This process then draws those that the second process could not draw."""
     remaining, second = list(names), _second.pop()
     try:
         second.talk.send((out, remaining))
@@ -313,7 +317,7 @@ def _drawn_in_second_process(tree: xr.DataTree, out: Path, names: Sequence[str])
 
 
 def _draw_for_first(talk: Connection) -> None:
-    """Draw what the first process requests over a connection, up to an error that is no OutputError."""
+    """Draw what the first process requests over a connection. It ends at an error that is not an OutputError."""
     out, names = talk.recv()
     with finished_result(out / "result.nc") as tree, closing(_drawn(tree, out, names)) as pictures:
         for name, error in pictures:
@@ -323,16 +327,17 @@ def _draw_for_first(talk: Connection) -> None:
 
 
 _second: list[SecondProcess] = []
-"""The process that draws the next pictures, if there is one."""
+"""The process that will draw the next pictures; None if there is no such process."""
 _second_bytes = [0]
-"""Memory of the last second process [bytes]."""
+"""Memory that the last second process used [bytes]."""
 
 
 @contextmanager
 def second_process_draws() -> Iterator[None]:
-    """Let a second process load Matplotlib and OpenUSD during a run in the block, and draw its pictures.
+    """In the block, let a second process load Matplotlib and OpenUSD during a run, and draw the pictures of the run.
 
-    For programs that own their process; without effect if it cannot be copied, or has loaded them already.
+    This is for programs that own their process. It has no effect if the process cannot be copied or has loaded these
+    modules already.
     """
     with suppress(OSError):
         # CUDA does not support copies of a process that has initialised it
@@ -380,7 +385,7 @@ def initial_block(sim: Simulation) -> Block:
 
 @phase("stepping")
 def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
-    """Step to the end; return the error that ended it early, or None."""
+    """Step to the end. Return the error that ended the run early, or None."""
     started = time.perf_counter()
     steps = step_count(duration_s, sim.model.opt.timestep)
     task = bar.add_task(f"simulating {1e3 * duration_s:g} ms", total=steps)
@@ -409,7 +414,7 @@ def _spent(started: float) -> dict[str, Any]:
 
 
 def _shown_better(sim: Simulation) -> list[str]:
-    """Return MuJoCo bodies for which the result has more than geoms: those with skin, and boards of arrays."""
+    """Return the MuJoCo bodies that the result describes by more than geoms: bodies with skin, and boards of arrays."""
     binding = sim.runtime.binding
     numbers = [number for skin in binding.skins for number in (skin.body, *skin.bones)]
     numbers += [int(sim.model.site_bodyid[site]) for site in binding.array_sites]
@@ -417,7 +422,7 @@ def _shown_better(sim: Simulation) -> list[str]:
 
 
 def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
-    """Return every setting, convention and version, as attributes of the result and its groups."""
+    """Return all settings, conventions and versions as attributes of the result and its groups."""
     model = sim.runtime.model
     packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")
     attributes: dict[str, dict[str, Any]] = {

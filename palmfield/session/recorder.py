@@ -1,4 +1,4 @@
-"""Record a running simulation: write blocks of arrays, each of one or more MuJoCo steps, to a store."""
+"""Record a running simulation. Blocks of arrays, each of one or more MuJoCo steps, are written to a store."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -40,23 +40,30 @@ Block = dict[str, dict[str, NDArray[Any]]]
 TOGETHER = 64
 """Largest number of MuJoCo steps whose data are computed together."""
 WAITING_BYTES, WAITING_s = 8_000_000, 2.0
-"""Largest size of the motion of the skins in them, and longest time that they wait: a killed process loses them."""
+"""Largest size of the waiting motion of the skins, and longest waiting time.
+
+A killed process loses the waiting data.
+"""
 ROWS = 64
-"""Number of substeps whose motion is computed in one product."""
+"""Number of substeps whose motion is computed in one matrix product."""
 FEW = 112
-"""Largest number of drives whose fields a CPU computes together; more would use a formula with other rounding."""
+"""Largest number of drives whose fields a CPU computes together.
+
+For more it would use a formula with other rounding.
+"""
 
 
 class Sink(Protocol):
-    """Target of blocks: `palmfield.outputs.store.Store` or MemoryStore."""
+    """Destination of blocks: `palmfield.outputs.store.Store` or MemoryStore."""
 
     def append(self, block: Arrays) -> None: ...
 
 
 class Emitted(NamedTuple):
-    """Emission at some moments: one drive (N,) with factors of its ARP (m,), or a drive for each moment (m, N).
+    """Emission at some moments.
 
-    serial: serial of the single drive, 0 for many
+    It is either one drive (N,) with factors of its ARP (m,), or a drive for each moment (m, N).
+    serial: serial number of the single drive, 0 for many drives
     """
 
     drives: Complex
@@ -67,13 +74,16 @@ class Emitted(NamedTuple):
 class Recorded(NamedTuple):
     """One step whose data have not been written yet.
 
-    times: ends of its substeps [s], shape (s,). posed: its pose. emitted: emission at `times`.
-    motions: what is recorded of each skin after each substep (`SkinModel.recorded`) and its rate, shape (s, 2, m), or
-        their coordinates, shape (s, 2, r), and the matrix (r, m).
-    pressed: numbers of the force samples of each skin and mean ARP there [Pa], None in silence.
-    start_s: start of the step, MuJoCo time. forces: forces on the parts of each body [N], and torques [N m], shape (2,
-    b, 3)
-    bodies: poses of all MuJoCo bodies, shape (bodies, 7). sensors: values of each sensor
+    times: ends of its substeps [s], shape (s,)
+    posed: its pose
+    emitted: emission at `times`
+    motions: recorded quantities of each skin after each substep (`SkinModel.recorded`) and their rates, shape
+        (s, 2, m); or their coordinates, shape (s, 2, r), with the matrix (r, m)
+    pressed: numbers of the force samples of each skin, and the mean ARP at them [Pa]; None in silence
+    start_s: start of the step, MuJoCo time
+    forces: forces on the parts of each body [N], and torques [N m], shape (2, b, 3)
+    bodies: poses of all MuJoCo bodies, shape (bodies, 7)
+    sensors: values of each sensor
     """
 
     times: Float
@@ -93,14 +103,14 @@ class Recorded(NamedTuple):
 
 
 def emitted_at(course: EmittedCourse, moments: NDArray[np.int_]) -> Emitted:
-    """Return the emission at some moments of a course, by index (m,)."""
+    """Return the emission at some moments of a course. moments: indices, shape (m,)"""
     if len(course.units) != 1:
         return Emitted(rows(course)[moments], np.ones(len(moments)), 0)
     return Emitted(course.units[0], np.abs(course.levels[moments, 0]) ** 2, course.serial)
 
 
 def emitted_at_ends(emission: Emission, trace: StepTrace, step_s: float) -> Emitted:
-    """Return the emission at the ends of the substeps of a step of one world, each of length step_s [s]."""
+    """Return the emission at the ends of the substeps of a step, for one world. step_s: length of a substep [s]"""
     moments, course = trace.moments, trace.course(0)
     if not any(moments.held_s):
         return emitted_at(course, np.argmax(moments.last, axis=1))
@@ -114,17 +124,18 @@ def emitted_at_ends(emission: Emission, trace: StepTrace, step_s: float) -> Emit
 class Recorder:
     """Records the steps of a scene and writes their data.
 
-    loudest: loudest moment by skin, the moment of the highest ARP so far, None without sound
+    loudest: for each skin the moment of highest ARP so far, None without sound
     peak_drive: largest commanded amplitude of each transducer so far, relative to full drive, shape (N,)
     begun_s: MuJoCo time at the start [s]
     turns: for each stimulus, the times at which the phases between its foci jumped
-    driven: motion driven by the bones of each skin with key inertia on, by its number
+    driven: motion that the bones drive, for each skin with key inertia on, by its number
     """
 
     def __init__(
         self, runtime: SceneRuntime, world: World, sink: Sink, body_poses: Callable[[], Float], together: int = 1
     ):
         """body_poses: function that returns poses of all MuJoCo bodies in the world, shape (bodies, 7)
+
         together: largest number of steps in a block; the last block is written by `stop`
         """
         self._body_poses = body_poses
@@ -177,7 +188,7 @@ class Recorder:
         self._trace = trace
 
     def step(self) -> None:
-        """Record the data of one completed MuJoCo step, and write a block if it is full."""
+        """Record the data of one completed MuJoCo step. If the block is full, write it."""
         trace, self._trace = self._trace, None
         if trace is None:
             return
@@ -197,7 +208,7 @@ class Recorder:
             self._write()
 
     def _pressed(self, posed: PosedScene) -> "list[tuple[Int, Float] | None]":
-        """Return `Recorded.pressed`; empty on a GPU, which computes forces without it."""
+        """Return `Recorded.pressed`. On a GPU it is empty, because a GPU computes forces without these values."""
         if self.runtime.steps.in_graph:
             return []
         result: list[tuple[Int, Float] | None] = []
@@ -233,7 +244,7 @@ class Recorder:
         self.sink.append(block)
 
     def _in_one_pose(self, steps: Sequence[Recorded]) -> Block:
-        """Return the data along `time` of steps in one pose with the same kind of emission."""
+        """Return the data along `time` of steps that have one pose and one kind of emission."""
         times = np.concatenate([one.times for one in steps])
         motions = [_motion(parts) for parts in zip(*[one.motions for one in steps], strict=True)]
         drives, factors, serial = steps[0].emitted
@@ -263,7 +274,7 @@ class Recorder:
             block[group("sensors", name)] = {"value": np.array([one.sensors[i] for one in steps])}
 
     def _add_body(self, block: Block, name: str, posed: PosedScene, number: int, forces: Float, torques: Float) -> None:
-        """Add the poses of a body, and the forces and torques on its parts in each step, shape (steps, b, 3)."""
+        """Add the poses of a body, and the forces and torques on its parts in each step, shapes (steps, b, 3)."""
         frame, body, count = posed.array_frame, posed.bodies[number], len(forces)
         rotation = frame.rotation @ body.frame.rotation
         poses = {"pose": np.tile(pose7(frame.points(body.frame.position), rotation), (count, 1))}
@@ -334,7 +345,7 @@ class Recorder:
             block[group("stimulus", part.spec.name)] = {"foci": world, "sounding": sounding}
 
     def _add_drive(self, block: Block, times: Float, posed: PosedScene) -> None:
-        """Add drive frames at which the commanded drive changes."""
+        """Add a drive frame wherever the commanded drive changes."""
         commanded = self.runtime.work.emission.commanded(posed, times)
         last = np.full_like(commanded[:1], np.nan) if self._drive is None else self._drive
         before = np.concatenate([last, commanded[:-1]])
@@ -354,8 +365,9 @@ class Recorder:
     # -- at the end ----------------------------------------------------------------------------------------------
 
     def surfaces(self) -> Block:
-        """Return ARP and pressure on each skin and on the whole surface of its body at the loudest moment of the
-        skin.
+        """Return ARP and pressure at the loudest moment of each skin.
+
+        They are given on the skin and on the whole surface of its body.
         """
         block: Block = {}
         radiation = self.runtime.work.radiation
@@ -388,7 +400,10 @@ class Recorder:
 
 
 def _motion(parts: Sequence[tuple[Float | Float32, Float | None]]) -> Float32:
-    """Return what is recorded of a skin after the substeps of some steps, shape (2, t, m); parts: as in Recorded."""
+    """Return the recorded quantities of a skin after each substep of some steps, shape (2, t, m).
+
+    parts: as in Recorded
+    """
     numbers, matrix = np.concatenate([values for values, _ in parts]).swapaxes(0, 1), parts[0][1]
     times, count = numbers.shape[1], numbers.shape[2] if matrix is None else matrix.shape[1]
     result = np.empty((2, times, count), np.float32)
@@ -417,7 +432,7 @@ def _along(vectors: Float32, normals: Float32) -> Float32:
 
 
 def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compiled: mujoco.MjModel) -> Block:
-    """Return the data available before the first step. compiled: MuJoCo model of the scene"""
+    """Return the data that exist before the first step. compiled: MuJoCo model of the scene"""
     block: Block = {group("mujoco", MUJOCO_SCENE): mujoco_arrays(compiled)}
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
         block[group("array", array.name)] = _transducers(part)
@@ -466,7 +481,7 @@ def _transducers(array: Array) -> dict[str, NDArray[Any]]:
 
 
 def world_with(data: mujoco.MjData) -> World:
-    """Return the plugin modules of the scene in MuJoCo data."""
+    """Return the plugin modules of the scene in an mjData."""
     world = world_of(data)
     assert world is not None
     return world

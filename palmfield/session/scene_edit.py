@@ -1,4 +1,4 @@
-"""Change single elements of the file of a scene; all other bytes, comments and layout are unchanged."""
+"""Change single elements of a scene file. All other bytes, comments and the layout stay unchanged."""
 
 import re
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from typing import NamedTuple
 from palmfield.session.scene_text import Element
 
 TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
-"""Start tag of an element; > may be part of a value."""
+"""Start tag of an element. Character > may be part of a value."""
 
 
 class Edit(NamedTuple):
@@ -34,7 +34,7 @@ def tag_of(data: bytes, element: Element) -> re.Match[bytes]:
 
 
 def without(data: bytes, element: Element) -> Edit:
-    """Return the edit that removes an element, with its line if that has no other content."""
+    """Return the edit that removes an element. If the line then has no other content, the line is removed too."""
     tag = tag_of(data, element)
     start, end = tag.start(), tag.end()
     if not tag[0].endswith(b"/>"):
@@ -47,7 +47,7 @@ def without(data: bytes, element: Element) -> Edit:
 
 
 def indent_of(data: bytes, element: Element) -> bytes:
-    """Return the line break and the spaces before an element at the beginning of a line; empty for others."""
+    """Return the line break and the spaces before an element that begins a line; empty for other elements."""
     start = data.rfind(b"\n", 0, element.offset)
     before = data[start + 1 : element.offset]
     if before.strip():
@@ -56,7 +56,7 @@ def indent_of(data: bytes, element: Element) -> bytes:
 
 
 def edited(data: bytes, edits: Sequence[Edit]) -> bytes:
-    """Return the bytes of a file after edits that do not overlap."""
+    """Return the bytes of a file after some edits. The edits must not overlap."""
     for edit in sorted(edits, reverse=True):
         data = data[: edit.start] + edit.new + data[edit.end :]
     return data

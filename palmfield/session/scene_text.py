@@ -1,6 +1,6 @@
 """Read the files of a scene as text: elements with file and line, and descriptions of XML errors.
 
-MuJoCo's model does not store positions in files, and messages of its parser suggest no remedy.
+This is needed because MuJoCo's model does not store positions in files, and its parser suggests no remedy.
 """
 
 import contextlib
@@ -16,14 +16,17 @@ from palmfield.errors import SceneError, did_you_mean
 from palmfield.files import read_bytes, reading, regular
 
 ROOTS = ("mujoco", "mujocoinclude", "robot")
-"""Tags that MuJoCo accepts for the root element: of a scene, of an included file, and of a URDF file."""
+"""Tags that MuJoCo accepts as root element: of a scene, of an included file, and of a URDF file."""
 
 NAMES = ("name", "class", "file", "model", "prefix", "timestep")
-"""Endings of attributes whose values may be any word, and the attribute that palmfield reads."""
+"""Endings of attribute names whose values may be any word, and the attribute that palmfield itself reads."""
 ASSETS = ("mesh", "hfield", "texture", "skin", "model", "flexcomp")
-"""Elements with attributes file, fileright, ... that name files."""
+"""Elements whose attributes file, fileright, ... name files."""
 MOST_COPIES, MOST_ELEMENTS = 10_000, 1_000_000
-"""Limits: copies by <replicate>, which take 7 s in MuJoCo; elements of a scene with all included and attached files."""
+"""Limits: number of copies by <replicate>, and number of elements of a scene with its included and attached files.
+
+The copies at the limit take 7 s in MuJoCo.
+"""
 SIZES = {
     "flexcomp": {"count": 100_000}, "composite": {"count": 100_000}, "user": {"dim": 100_000},
     "numeric": {"size": 10**6}, "texture": {"width": 20_000, "height": 120_000},
@@ -31,19 +34,20 @@ SIZES = {
     "size": {"nuserdata": 10**7, "nkey": 10**4, **{f"nuser_{kind}": 1000 for kind in
              ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")}},
 }  # fmt: skip
-"""Upper limits of attributes for which MuJoCo allocates memory or makes elements."""
+"""Upper limits of attributes that make MuJoCo allocate memory or create elements."""
 OF_ALL_SENSORS = {"name", "class", "dim", "noise", "cutoff", "user", "needstage", "datatype", "nsample", "interp",
                   "delay", "interval", "plugin", "instance"}  # fmt: skip
-"""Attributes of sensors that do not name objects."""
+"""Attributes of sensors that do not name an object."""
 AMPERSAND = "\x7f"
-"""Replaces & while a file is read: one byte that XML allows and files do not use."""
+"""Character that replaces & while a file is read. It is one byte that XML allows and files do not use."""
 
 
 @dataclass
 class Element:
-    """An element of the files of a scene.
+    """An element in the files of a scene.
 
-    offset: number of bytes before it; parent: enclosing element, across included files; None for the root
+    offset: number of bytes before it in its file
+    parent: enclosing element, also across included files; None for the root
     """
 
     tag: str
@@ -67,7 +71,7 @@ class Element:
 
 
 class Instance(NamedTuple):
-    """A plugin instance of a scene. keys: keys set in the scene, as texts, which may be changed in place"""
+    """A plugin instance of a scene. keys: keys that the scene sets, as texts; they may be changed in place"""
 
     name: str
     plugin: str
@@ -75,7 +79,7 @@ class Instance(NamedTuple):
 
 
 class SceneText(NamedTuple):
-    """All elements of the files of a scene; elements of included files are at the place of inclusion.
+    """All elements in the files of a scene. Elements of an included file are at the place of its inclusion.
 
     file: file of the scene, as the user wrote it
     """
@@ -93,18 +97,21 @@ class SceneText(NamedTuple):
         return list(dict.fromkeys(one.file for one in self.elements if one.file != self.file))
 
     def at(self, file: Path, line: int, word: str) -> Element | None:
-        """Return the element in a line of a file; of several, the one with a word as tag or in an attribute."""
+        """Return the element in a line of a file.
+
+        Of several, return the one with `word` as its tag or in an attribute.
+        """
         here = [one for one in self.elements if one.file == file and one.line == line]
         with_word = [one for one in here if one.tag == word or (word and word in one.attributes.values())]
         return next(iter(with_word or here), None)
 
     def last(self, tag: str, name: str | None = None) -> Element | None:
-        """Return the last element with a tag and, if not None, a name."""
+        """Return the last element that has a tag and, if not None, a name."""
         fitting = (one for one in reversed(self.elements) if one.tag == tag)
         return next((one for one in fitting if name is None or one.attributes.get("name") == name), None)
 
     def instance(self, plugin: str, name: str) -> Element | None:
-        """Return the element of an instance of a plugin."""
+        """Return the element of a plugin instance."""
         for one in self.elements:
             if one.tag == "instance" and one.attributes.get("name") == name:
                 holder = one.within("plugin")
@@ -113,25 +120,28 @@ class SceneText(NamedTuple):
         return None
 
     def key(self, plugin: str, name: str, key: str) -> Element | None:
-        """Return the element that sets a key of an instance, or that of the instance."""
+        """Return the element that sets a key of an instance.
+
+        If no element sets it, return the element of the instance.
+        """
         instance = self.instance(plugin, name)
         own = (one for one in self.elements if one.parent is instance and one.attributes.get("key") == key)
         return next(own, instance)
 
 
 def read_scene_text(path: Path) -> SceneText:
-    """Read the elements of a scene and its included files; MuJoCo reports missing files.
+    """Read the elements of a scene and its included files. Missing files are left for MuJoCo to report.
 
-    Like MuJoCo, it ignores errors in comments and unescaped ampersands.
+    Like MuJoCo, this ignores errors in comments and unescaped ampersands.
     Raises SceneError, with file and line, for other invalid XML.
     """
     return _whole(path, ())[0]
 
 
 def _whole(path: Path, above: tuple[Path, ...]) -> tuple[SceneText, int]:
-    """Read a scene or an attached model, and count its elements with all attached ones.
+    """Read a scene or an attached model, and count its elements together with those of all attached models.
 
-    above: files that attach it; it must not attach them again, because MuJoCo 4.0 would overflow its stack
+    above: files that attach it. It must not attach them again, because MuJoCo 4.0 would overflow its stack
     """
     elements: list[Element] = []
     _read(path, path, None, elements, set(), set())
@@ -182,7 +192,7 @@ def _files(element: Element, scene: Path, elements: list[Element]) -> list[Path]
 
 
 def _check_size(element: Element) -> None:
-    """Raise SceneError for sizes that would fill the memory, or make MuJoCo compile for hours."""
+    """Raise SceneError for sizes that would exhaust the memory or make MuJoCo compile for hours."""
     for name, most in SIZES.get(element.tag, {}).items():
         try:
             count = math.prod(float(word) for word in element.attributes.get(name, "").split())
@@ -196,7 +206,7 @@ def _check_size(element: Element) -> None:
 
 
 def _check_copies(elements: list[Element]) -> None:
-    """Raise SceneError for more copies than MuJoCo can make, and for sensors that it would double with each copy."""
+    """Raise SceneError for more copies than MuJoCo can make, and for sensors in copies, which it would duplicate."""
     copies = 0.0
     for one in elements:
         count = 1.0
@@ -222,7 +232,7 @@ def _check_copies(elements: list[Element]) -> None:
 
 
 def _check_finite(element: Element) -> None:
-    """Raise SceneError for infinite numbers or NaN, which MuJoCo accepts; palmfield's keys are checked separately."""
+    """Raise SceneError for infinite numbers or NaN, which MuJoCo accepts. Keys of palmfield are checked elsewhere."""
     for name, value in element.attributes.items():
         if name.endswith(NAMES) or element.tag in ("config", "text", "numeric") or not re.search(r"(?i)nan|inf", value):
             continue
@@ -239,7 +249,12 @@ def _check_finite(element: Element) -> None:
 def _read(
     path: Path, scene: Path, holder: Element | None, elements: list[Element], above: set[Path], read: set[Path]
 ) -> None:
-    """Add the elements of a file. holder: element that includes it; above: files being read; read: files done"""
+    """Add the elements of a file.
+
+    holder: element that includes the file
+    above: files that are being read
+    read: files that have been read
+    """
     for one in elements_of(path):
         if one.parent is None and one.tag not in ROOTS:
             raise SceneError(
@@ -300,7 +315,7 @@ def elements_of(path: Path) -> list[Element]:
 
 
 def _as_mujoco_reads(data: bytes) -> bytes:
-    """Return XML without comments and without unescaped &; all other text keeps its position."""
+    """Return XML without comments and unescaped &. All other text keeps its position."""
     bare = re.sub(rb"<!--.*?-->", lambda comment: re.sub(rb"[^\n]", b" ", comment[0]), data, flags=re.DOTALL)
     return re.sub(rb"&(?!#?\w+;)", AMPERSAND.encode(), bare)
 

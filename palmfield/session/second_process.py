@@ -1,6 +1,7 @@
-"""A second process that loads modules while this one computes, and then works on request.
+"""A second process that loads modules while this process computes, and then works on request.
 
-It begins as a copy of this process, so that it need not load again what is loaded, and never outlives it.
+It begins as a copy of this process, so modules that are already loaded need not be loaded again. It ends when this
+process ends.
 """
 
 import ctypes
@@ -21,11 +22,11 @@ from palmfield.phases import phase, running
 from palmfield.profile import Profile, own_peak_bytes
 
 STOP_S, THREAD_S = 0.2, 0.05
-"""Time to remove unfinished files, and for the end of a thread [s]."""
+"""Time for removing unfinished files, and time for the end of a thread [s]."""
 IDLE_S = 10
-"""Time without progress after which a second process is given up [s]."""
+"""Time without progress after which a second process counts as failed [s]."""
 PR_SET_PDEATHSIG = 1
-"""Option of prctl: the signal to this process when its parent ends."""
+"""Option of prctl that sets the signal which a process gets when its parent ends."""
 
 
 def possible(modules: Sequence[str]) -> bool:
@@ -42,12 +43,12 @@ def possible(modules: Sequence[str]) -> bool:
 class SecondProcess:
     """A copy of this process that loads modules, and then calls a function with its end of a connection.
 
-    Last it sends its memory (`own_peak_bytes`) and, while this process is measured, its phases.
+    At the end it sends its memory (`own_peak_bytes`) and, while this process is measured, its phases.
     talk: this end of the connection; it raises EOFError or OSError after the second process has ended
     """
 
     def __init__(self, modules: Sequence[str], work: Callable[[Connection], None]) -> None:
-        """Begin the process. Raises OSError if the system has no room for it."""
+        """Start the process. Raises OSError if the system has no resources for it."""
         self.talk, other_end = Pipe()
         arguments = os.getpid(), self.talk, other_end, modules, work
         self._process = get_context("fork").Process(target=_second, args=arguments, daemon=True)
@@ -55,7 +56,10 @@ class SecondProcess:
         other_end.close()
 
     def receive(self) -> Any:
-        """Return what the process sends. Raises EOFError or OSError if it has ended, or made no progress for IDLE_S."""
+        """Return what the process sends.
+
+        Raises EOFError or OSError if it has ended, or has made no progress for IDLE_S.
+        """
         # Progress is CPU time: a long computation may go on, as in one process; a stopped or blocked process may not.
         # Each second is counted, because this process may be stopped too (Ctrl-Z).
         used, idle = [""], 0
@@ -68,7 +72,7 @@ class SecondProcess:
         return self.talk.recv()
 
     def end(self, working: bool = False) -> None:
-        """End the process; working: let it remove unfinished files first, for at most STOP_S."""
+        """End the process. working: whether it may first remove unfinished files, for at most STOP_S"""
         if working:
             self._process.terminate()
             self._process.join(STOP_S)

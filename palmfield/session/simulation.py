@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # loaded only for several worlds and when a skin is read
     from palmfield.session.worlds import WorldsSkin
 
 GATHERED = 64
-"""Largest number of steps that `Simulation.step` computes together."""
+"""Largest number of MuJoCo steps that `Simulation.step` computes together."""
 
 
 class Simulation:
@@ -34,13 +34,15 @@ class Simulation:
     sim.run(0.1)
     print(sim.skin("palm").displacement)
 
-    With `worlds`, several copies of the scene are stepped together; results then have a leading axis for the worlds:
+    With `worlds`, several copies of the scene are stepped together. Results then have a leading axis for the worlds:
     sim = palmfield.Simulation("scene.xml", worlds=2, keys={"stimulus.focus_m": [(0, 0, 0.19), (0, 0.01, 0.19)]})
 
-    model, data: MuJoCo model and data, for callers of mj_step (then `palmfield.raise_errors(data)` raises errors of
-    plugins);
-        with several worlds the data of each, to set controls or forces; only `step` may step them
-    name: name of the scene, for messages; path: its file, or None; worlds: number of worlds, None without this axis
+    model, data: MuJoCo model and data. You may call mj_step on them; then call `palmfield.raise_errors(data)` to raise
+        errors of plugins. With several worlds, data is a list, in which you may set controls or forces; only `step` may
+        step them
+    name: name of the scene, for messages
+    path: file of the scene, or None
+    worlds: number of worlds, None if results have no axis for worlds
     duration_s: default duration of `palmfield.run` [s]
     """
 
@@ -55,13 +57,14 @@ class Simulation:
         worlds: int | None = None,
         poses: Mapping[str, ArrayLike] | None = None,
     ):
-        """See `palmfield.session.open_scene`: `Options` for the first arguments, and `compiled` for the errors.
+        """Open a scene.
 
-        worlds: number of worlds, which are stepped together; the value of a key of a stimulus may then have an
-            additional first axis of this length, with a value for each world
-        poses: poses by name of a mocap body, position [m] and quaternion (w, x, y, z) in each MuJoCo step, shape
-        (worlds,
-            steps, 7); constant after the last step
+        `palmfield.session.open_scene` describes the first arguments (`Options`) and errors (`compiled`).
+
+        worlds: number of worlds, which are stepped together. A key of a stimulus may then have an additional first axis
+            of this length, with one value for each world
+        poses: for each named mocap body its position [m] and quaternion (w, x, y, z) in each MuJoCo step, shape
+            (worlds, steps, 7). The pose is constant after the last step
         """
         options: Options = {"device": device, "accuracy": accuracy, "board": board, "keys": keys}
         if worlds is not None:
@@ -80,7 +83,7 @@ class Simulation:
 
     @classmethod
     def of_worlds(cls, name: str, scenes: "SceneWorlds") -> "Simulation":
-        """Return a simulation of several open worlds (`palmfield.session.worlds.open_worlds`)."""
+        """Return a simulation of several worlds that `palmfield.session.worlds.open_worlds` has opened."""
         made = object.__new__(cls)
         made._attach(name, scenes, None, len(scenes.data))
         return made
@@ -109,14 +112,14 @@ class Simulation:
 
     @property
     def runtime(self) -> SceneRuntime:
-        """The runtime of the scene. Raises SceneError if there are `worlds`."""
+        """The runtime of the scene. Raises SceneError for a simulation with `worlds`."""
         if self.worlds is not None:
             raise SceneError(f"{self.name} is open as {self.count} worlds; allowed here: a simulation without `worlds`")
         return self._scenes.runtimes[0]
 
     @property
     def steps(self) -> Steps:
-        """The steppers of sound and skins."""
+        """The object that steps sound and skins."""
         return self._scenes.steps
 
     # -- stepping ------------------------------------------------------------------------------------------------
@@ -127,12 +130,12 @@ class Simulation:
         return float(self._scenes.data[0].time)
 
     def step(self, count: int = 1) -> None:
-        """Do `count` MuJoCo steps. Raises errors of plugins (SceneError, DeviceError) with the number of the world.
+        """Run `count` MuJoCo steps. Raises errors of plugins (SceneError, DeviceError) with the number of the world.
 
-        If the sound acts on no degree of freedom and no sensor is read in between, up to GATHERED steps are computed
-        together. Forces and sensors are then those of the last step, equal to those of `mj_step` except for rounding.
-        Ctrl-C is delayed to the end of these steps or of the present step. After the KeyboardInterrupt the state is
-        consistent, and the simulation can continue. Raises SceneError for a count that is not a whole number >= 0.
+        If the sound moves no body and no sensor is read between steps, up to GATHERED steps are computed together.
+        Forces and sensors are then those of the last step. They equal those of `mj_step` except for rounding. Ctrl-C
+        takes effect at the end of these steps. After the KeyboardInterrupt the state is consistent, and the simulation
+        can continue. Raises SceneError for a count that is not a whole number >= 0.
         """
         check_steps(count)
         # Build steppers here, where Ctrl-C is not delayed, because this can take minutes
@@ -147,7 +150,7 @@ class Simulation:
                 check()
 
     def run(self, duration_s: float) -> None:
-        """Do the number of steps closest to a duration [s], at least one; see `step`.
+        """Run the number of steps closest to a duration [s], at least one; see `step`.
 
         Raises SceneError for a duration that is not > 0.
         """
@@ -176,17 +179,20 @@ class Simulation:
         return twin
 
     def __copy__(self) -> "Simulation":
-        """Return `copy`, because two simulations cannot share MuJoCo's data."""
+        """Return `copy`. A shallow copy would share MuJoCo's data, which is not possible."""
         return self.copy()
 
     def __deepcopy__(self, memo: dict[int, object]) -> "Simulation":
-        """Return `copy`, because models never change."""
+        """Return `copy`. The model is shared, because models never change."""
         return self.copy()
 
     # -- results; with a leading axis if there are `worlds` ----------------------------------------
 
     def _of(self, values: Sequence[Any] | Float) -> Any:
-        """Stack the values of the worlds in one array; without `worlds` do not add an axis."""
+        """Stack the values of the worlds in one array.
+
+        Without `worlds`, return the value without an axis for worlds.
+        """
         return np.array(values[0] if self.worlds is None else values)
 
     @property
@@ -236,7 +242,7 @@ class Simulation:
     def forces(self) -> Float:
         """Mean force of the sound on each of `bodies` over the last step [N], world axes, shape (bodies, 3).
 
-        Before the first step it is the mean over this step.
+        Before the first step, it is the mean over the coming step.
         """
         return self._of(self._scenes.forces)
 
@@ -261,5 +267,5 @@ def load(
     board: str | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> Simulation:
-    """Read and check a scene; arguments are those of Simulation."""
+    """Read and check a scene. The arguments are those of Simulation."""
     return Simulation(path, device=device, accuracy=accuracy, board=board, keys=keys)

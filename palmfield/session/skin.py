@@ -31,7 +31,7 @@ class Skin:
 
     @property
     def solver(self) -> str:
-        """Present or future solver: a value of key `solver` other than "auto"."""
+        """Solver that the skin uses or will use: a value of key `solver` other than "auto"."""
         if at_rest(self._runtime.state, self._number):
             return self._part.choice.name
         return stepper_of(self._runtime.model, self._runtime.state, self._number)[0].name
@@ -53,7 +53,10 @@ class Skin:
 
     @property
     def position(self) -> Float:
-        """Positions of the surface nodes moved with body and bones, world [m], shape (S, 3); without displacement."""
+        """Positions of the surface nodes, moved with body and bones, world [m], shape (S, 3).
+
+        The displacement of the skin is not included.
+        """
         posed = self._runtime.posed
         return posed.array_frame.points(posed.skins[self._number].nodes[0])
 
@@ -93,7 +96,10 @@ class Skin:
 
 
 def chosen_name(names: Sequence[str], name: str | None) -> str:
-    """Return the name of a skin; without `name` that of the only one. Raises SceneError for an unknown name."""
+    """Return the name of a skin. Without `name`, return that of the only skin.
+
+    Raises SceneError for an unknown name.
+    """
     if name is None and len(names) == 1:
         return names[0]
     if name is None or name not in names:

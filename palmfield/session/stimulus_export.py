@@ -1,4 +1,4 @@
-"""Export the stimulus of a scene over time as a table of foci, or as an STM of AUTD3 units."""
+"""Export the stimulus of a scene over time, as a table of foci or as an STM file of AUTD3 devices."""
 
 import math
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ USUAL_RATE_HZ = 1000.0
 
 @dataclass(frozen=True)
 class Exported:
-    """A stimulus as a table. table: ends with the last sound; warnings: properties that a table cannot represent"""
+    """A stimulus as a table. table: its last row ends the sound; warnings: properties that a table cannot represent"""
 
     table: FocusTable
     stimulus: str
@@ -42,12 +42,16 @@ def exported(
     duration_s: float | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> Exported:
-    """Sample foci and levels of a stimulus as a table; each sample applies until the next.
+    """Sample the foci and levels of a stimulus as a table. Each sample applies until the next one.
 
-    stimulus: instance, needed if there are several; rate_Hz: rate of the samples; default: the rate of the steps of the
-    stimulus (table, points of the path, control ticks), or else USUAL_RATE_HZ; quantity: quantity of the intensities;
-    default: that of the table, or else ARP; frame: array, or skin for the frame of its site; duration_s: default that
-    of the scene A table that a scene plays unchanged is exported unchanged, with its straight lines.
+    stimulus: instance, needed if the scene has several
+    rate_Hz: rate of the samples; default: the rate of the steps of the stimulus (table, points of the path, control
+        ticks), or else USUAL_RATE_HZ
+    quantity: quantity of the intensities; default: that of the table, or else ARP
+    frame: array, or skin for the frame of its site
+    duration_s: duration; default: that of the scene
+    If the stimulus is itself a table that the scene plays unchanged, the table is returned unchanged, with its straight
+    lines.
     Raises SceneError for an invalid scene, an unknown stimulus or frame, and a rate or duration out of range.
     """
     view = preview(scene, keys=keys)
@@ -95,10 +99,10 @@ def exported(
 
 
 def export_stimulus(result: Exported, path: Path, *, again: bool = False, overwrite: bool = False) -> None:
-    """Write a table (.csv) or an STM of AUTD3 units (.json). again: repeat the STM without end.
+    """Write a table (.csv) or an STM file of AUTD3 devices (.json). again: whether the STM repeats without end
 
-    Raises OutputError for an unknown suffix or a file that may not be replaced, SceneError for a table that AUTD3 units
-    cannot play.
+    Raises OutputError for an unknown suffix or a file that may not be replaced. Raises SceneError for a table that
+    AUTD3 devices cannot play.
     """
     if path.suffix.lower() not in (".csv", ".json"):
         raise OutputError(
@@ -149,7 +153,7 @@ def _places(view: Preview, number: int, times: Float, points: Float, frame: Tabl
 
 
 def _each(part: StimulusModel, point: Float) -> Float:
-    """Return the ARP of each focus relative to the loudest, shape (foci,)."""
+    """Return the ARP of each focus relative to the loudest focus, shape (foci,)."""
     if (table := part.spec.focus_table) is not None:
         each = table.arp_of_each(point[:1])[0]
         return np.asarray(each / each.max()) if each.max() > 0.0 else np.zeros(table.foci)

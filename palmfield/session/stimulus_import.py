@@ -1,4 +1,4 @@
-"""Import a table of foci, or an STM of AUTD3 units, into a scene: write the table, and a scene that plays it."""
+"""Import a table of foci, or an STM file of AUTD3 devices: write the table, and a scene that plays it."""
 
 import tempfile
 from dataclasses import dataclass, replace
@@ -24,12 +24,12 @@ REPLACED = (
     "path", "path_on", "on_skin", "focus_m", "foci_m", "foci_arp", "frame", "modulation", "burst_window",
     "burst_length_s", "burst_period_s", "burst_count", *PATH_KEYS, *AM_KEYS,
 )  # fmt: skip
-"""Keys for position and modulation of the focus, which the table replaces; level, start and end are kept."""
+"""Keys for position and modulation of the focus, which the table replaces. Level, start and end are kept."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """Result of an import. scene, table: the files; keys: new keys; dropped: removed keys"""
+    """Result of an import. scene, table: the written files; keys: new keys; dropped: removed keys"""
 
     scene: Path
     table: Path
@@ -42,9 +42,9 @@ class Imported:
 
 
 def read_stimulus(path: Path) -> tuple[FocusTable, bool]:
-    """Read a table from a CSV file, or convert an STM from a JSON file; return also whether it repeats.
+    """Read a table from a CSV file, or convert an STM from a JSON file. Return it, and whether it repeats.
 
-    Raises SceneError for an unknown suffix, and errors of `read_focus_table`, `read_foci_stm` and `table_of_stm`.
+    Raises SceneError for an unknown suffix, and the errors of `read_focus_table`, `read_foci_stm` and `table_of_stm`.
     """
     match path.suffix.lower():
         case ".csv":
@@ -68,11 +68,13 @@ def import_stimulus(
     repeat: bool = False,
     overwrite: bool = False,
 ) -> Imported:
-    """Write a scene whose stimulus plays a file, and the table in the same folder.
+    """Write a scene whose stimulus plays a file, and write the table to the same folder.
 
-    out: new scene, in the folder of the scene, default SCENE_FILE.xml; stimulus: instance, needed if there are several
-    site: its frame is used by a table with frame `skin`; repeat: whether the table restarts at its end (an STM without
-        end always does); overwrite: whether existing files may be replaced
+    out: new scene, in the folder of the old scene; default SCENE_FILE.xml
+    stimulus: instance, needed if the scene has several
+    site: site whose frame is used by a table with frame `skin`
+    repeat: whether the table restarts at its end (an STM without end always does)
+    overwrite: whether existing files may be replaced
     Raises SceneError for an invalid file or scene, for a moving array with a table in the world frame, and for errors
     of the new scene; OutputError if a file may not be replaced.
     """
@@ -122,7 +124,7 @@ def _instance(scene: Path, stimulus: str | None) -> str:
 
 
 def _site(scene: Path, site: str | None) -> str:
-    """Return the site of a table of frame `skin`: the given one, or the only one on the body of a skin."""
+    """Return the site for a table with frame `skin`: the requested one, or the only one on the body of a skin."""
     spec = opened(scene).spec
     bodies = {one.keys.get("body") for one in instances_of(scene, {})[0] if one.plugin == SKIN}
     sites = [one.name for one in spec.sites if one.parent.name in bodies]
@@ -164,7 +166,7 @@ def _in_array(table: FocusTable, scene: Path, stimulus: str) -> FocusTable:
 
 
 def _rewritten(scene: Path, stimulus: str, keys: dict[str, str]) -> tuple[bytes, tuple[str, ...]]:
-    """Return the file of the scene with changed keys of a stimulus, and the names of the removed ones."""
+    """Return the scene file with changed keys of a stimulus, and the names of the removed keys."""
     data, elements = scene.read_bytes(), elements_of(scene)
     instance = next((e for e in elements if e.tag == "instance" and _is(e, stimulus)), None)
     if instance is None:

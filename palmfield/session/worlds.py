@@ -50,10 +50,10 @@ def open_worlds(
     """Return the name of a scene for messages, and its worlds, ready to step.
 
     scene, worlds, poses, options: as in `palmfield.Simulation`
-    base: keys of the MuJoCo model instead of those of the first world; then all of `keys` differ
+    base: keys of the MuJoCo model that replace those of the first world; all of `keys` then differ
     shared: layers and solvers that these worlds share with worlds that are stepped separately
-    Raises the errors of `palmfield.session.open_scene.compiled`, and SceneError for an invalid number of worlds, keys
-    or poses of a wrong shape, and keys that cannot differ.
+    Raises the errors of `palmfield.session.open_scene.compiled`. Raises SceneError for an invalid number of worlds, for
+    keys or poses of a wrong shape, and for keys that cannot differ.
     """
     check_count(worlds)
     plugins = _plugins(scene)
@@ -85,7 +85,7 @@ def _in_each(name: str, about: str) -> Any:
 
 
 def _shared(own: Any) -> Any:
-    """Return a property of `Skin` that is equal in all worlds."""
+    """Return a property of `Skin` whose value is the same in all worlds."""
     return property(lambda self: own.fget(self._skins[0]), doc=own.__doc__)
 
 
@@ -93,7 +93,7 @@ class WorldsSkin:
     """One skin in all worlds at their present time. Each array is computed on access."""
 
     def __init__(self, skins: list[Skin], settle: Callable[[], None]):
-        """settle: function that updates the state"""
+        """skins: skin of each world; settle: function that updates the state before it is read"""
         self._all, self._settle = skins, settle
 
     @property
@@ -103,7 +103,7 @@ class WorldsSkin:
 
     @property
     def solver(self) -> tuple[str, ...]:
-        """Present or future solver in each world."""
+        """Solver that the skin uses or will use, in each world."""
         return tuple(skin.solver for skin in self._skins)
 
     name: str = _shared(Skin.name)

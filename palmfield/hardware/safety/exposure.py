@@ -1,4 +1,4 @@
-"""Compute sound levels at a head and at a hand over a play, and check them against limits."""
+"""Compute sound levels at a head and at a hand during a play, and check them against limits."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,14 +16,18 @@ from palmfield.types import Float
 Sound = NDArray[np.complexfloating[Any, Any]]
 
 SPACING_M = 10e-3
-"""Spacing of sampled points in the sphere of a head [m]; refined near the loudest points."""
+"""Spacing of the sample points in the sphere of a head [m]. The search is refined near the loudest points."""
 CANDIDATES = 8
-"""Number of refined points, because an interference pattern has many points of nearly the same level."""
+"""Number of points at which the search is refined. Interference patterns have many points of nearly equal level."""
 CLOSER_M, CLOSER_SPACING_M, FINEST_SPACING_M = 12e-3, 2e-3, 0.5e-3
 
 
 class SoundMoment(NamedTuple):
-    """Sound at one moment. pressure: complex peak [Pa] at points [m], (n, 3) -> (n,); share: fraction of the play"""
+    """Sound at one moment.
+
+    pressure: function from points [m], (n, 3), to the complex peak pressure [Pa], (n,)
+    share: fraction of the play that this moment represents
+    """
 
     pressure: Callable[[Float], Sound]
     share: float
@@ -33,8 +37,10 @@ class SoundMoment(NamedTuple):
 class Exposure:
     """Sound at the loudest point of a region, in a free field.
 
-    place: [m], shape (3,); peak_Pa: largest peak pressure; mean_square_Pa2: mean over the play of the square of the rms
-    band_dB: level differences at the low and high end of the range of p0
+    place: the point [m], shape (3,)
+    peak_Pa: largest peak pressure
+    mean_square_Pa2: mean, over the play, of the squared rms pressure
+    band_dB: level differences at the low and the high end of the range of p0
     """
 
     place: Float
@@ -53,17 +59,20 @@ class Exposure:
         return level_dB(math.sqrt(self.mean_square_Pa2))
 
     def dose_dB(self, duration_s: float) -> float:
-        """Return the energy-equivalent level over 8 h of one play of this duration [dB]."""
+        """Return the energy-equivalent level over 8 h of one play with this duration [dB]."""
         return dose_dB(self.mean_square_Pa2, duration_s)
 
     @property
     def most_dB(self) -> float:
-        """Value of `level_dB` for p0 at the high end of its range."""
+        """Value of `level_dB` if p0 is at the high end of its range."""
         return self.level_dB + self.band_dB[1]
 
 
 def peaks_at(moments: Sequence[SoundMoment], points: Float) -> tuple[Float, NDArray[np.intp]]:
-    """Return the largest peak pressure at each point [Pa], and the number of its moment, shapes (n,)."""
+    """Return the largest peak pressure at each point [Pa], and the number of its moment.
+
+    Both arrays have shape (n,).
+    """
     peaks, which = np.zeros(len(points)), np.zeros(len(points), np.intp)
     for number, moment in enumerate(moments):
         magnitudes = np.abs(moment.pressure(points))
@@ -73,7 +82,7 @@ def peaks_at(moments: Sequence[SoundMoment], points: Float) -> tuple[Float, NDAr
 
 
 def loudest_in(moments: Sequence[SoundMoment], points: Float) -> Exposure:
-    """Return the sound at the loudest of some points, shape (n, 3)."""
+    """Return the sound at the loudest of the points, shape (n, 3)."""
     peaks, which = peaks_at(moments, points)
     best = int(peaks.argmax())
     if peaks[best] <= 0.0:
@@ -82,7 +91,7 @@ def loudest_in(moments: Sequence[SoundMoment], points: Float) -> Exposure:
 
 
 def _separate(points: Float, peaks: Float) -> Float:
-    """Return the loudest points at least CLOSER_M apart, CANDIDATES at most, shape (c, 3)."""
+    """Return the loudest points that are at least CLOSER_M apart, shape (c, 3); at most CANDIDATES points."""
     result: list[Float] = []
     for number in np.argsort(-peaks):
         if all(np.linalg.norm(points[number] - other) > CLOSER_M for other in result):
@@ -103,7 +112,7 @@ def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: F
     """Return the sound at the loudest point of the sphere defined by keys head_m and head_radius_m.
 
     transducers: their positions [m], shape (n, 3)
-    Raises SceneError if no head is given, and if transducers are in the sphere.
+    Raises SceneError if the keys define no head, and if transducers are in the sphere.
     """
     if driver.head_m is None:
         raise SceneError(
@@ -133,7 +142,10 @@ def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: F
 
 
 def with_band(loudest: Exposure, factors: tuple[float, float] | None) -> Exposure:
-    """Add a band. factors: factors of the squared pressure there, at the ends of the range of p0; None for no range"""
+    """Add the band of the level due to the range of p0.
+
+    factors: factors of the squared pressure at the loudest point, at the ends of the range; None without a range
+    """
     if factors is None or min(factors) <= 0.0:
         return loudest
     low, high = (10.0 * math.log10(factor) for factor in factors)
@@ -143,7 +155,7 @@ def with_band(loudest: Exposure, factors: tuple[float, float] | None) -> Exposur
 def check_head(loudest: Exposure, driver: DriverConfig) -> list[str]:
     """Return warnings for users about the head, in words.
 
-    Raises DeviceError if the level, with p0 at the upper end of its range, is above key head_limit_dB.
+    Raises DeviceError if the level at the upper end of the range of p0 is above key head_limit_dB.
     """
     if loudest.peak_Pa <= 0.0:
         return []

@@ -13,7 +13,7 @@ from palmfield.types import Float
 GRID = 61
 """Number of points across the sphere of a head."""
 COURSE_SPACING_M = 20e-3
-"""Spacing of points in the sphere at which the level is computed over time [m]."""
+"""Spacing of the points in the sphere of a head at which the level over time is computed [m]."""
 
 
 def levels_dB(peaks_Pa: Float) -> Float:
@@ -23,7 +23,10 @@ def levels_dB(peaks_Pa: Float) -> Float:
 
 
 def head_map(moments: Sequence[SoundMoment], driver: DriverConfig, point: Exposure, transducers: Float) -> LevelMap:
-    """Map the sphere in the plane of its centre, the array centre and its loudest point. transducers: [m], (n, 3)"""
+    """Map the sphere of a head in the plane through its centre, the array centre and its loudest point.
+
+    transducers: positions [m], shape (n, 3)
+    """
     assert driver.head_m is not None
     middle, radius = np.array(driver.head_m), driver.head_radius_m
     along = middle - transducers.mean(axis=0)
@@ -45,7 +48,10 @@ def head_map(moments: Sequence[SoundMoment], driver: DriverConfig, point: Exposu
 
 
 def skin_map(name: str, points: Float, peaks_Pa: Float, point: Exposure) -> LevelMap:
-    """Map a skin in the plane of its largest extent. points: points at its loudest moment [m], shape (n, 3)"""
+    """Map a skin in the plane of its two largest extents.
+
+    points: points of the skin at its loudest moment [m], shape (n, 3)
+    """
     middle = points.mean(axis=0)
     wide = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
     places = (points - middle) @ wide.T
@@ -57,8 +63,10 @@ def skin_map(name: str, points: Float, peaks_Pa: Float, point: Exposure) -> Leve
 def course(
     times_s: Float, moments: Sequence[SoundMoment | None], driver: DriverConfig, head: Exposure, skins: dict[str, Float]
 ) -> LevelCourse:
-    """Compute levels over a play. moments: moments at each time, None for silence; skins: peaks at each of these times
-    [Pa]
+    """Compute the levels during a play.
+
+    moments: one moment for each time, None for silence
+    skins: peak pressures [Pa] at each of these times
     """
     assert driver.head_m is not None
     ball = ball_points(np.array(driver.head_m), driver.head_radius_m, COURSE_SPACING_M)

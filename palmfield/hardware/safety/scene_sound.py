@@ -16,18 +16,18 @@ from palmfield.types import Complex, Float
 
 LOG = logging.getLogger(__name__)
 MOMENTS = 96
-"""Number of sampled moments of a play. They are shifted irregularly to avoid synchrony with periods."""
+"""Number of sampled moments of a play. They are shifted irregularly, so that they are not synchronous with a period."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def moments_of(count: int, duration_s: float) -> Float:
-    """Return rising times, one in each of `count` equal intervals of a duration [s]."""
+    """Return rising times, one in each of `count` equal intervals of a duration."""
     number = np.arange(count)
     return (number + np.modf((number + 1) * GOLDEN)[0]) * duration_s / count
 
 
 def drives_over(view: Preview, duration_s: float) -> Iterator[tuple[float, SceneRuntime, PosedScene, Complex]]:
-    """Yield time [s] (of `moments_of`), runtime, pose, and drive of all transducers, shape (N,)."""
+    """Yield for each time of `moments_of`: the time [s], runtime, pose, and drive of all transducers, shape (N,)."""
     for time_s, runtime, posed in view.posed_at(moments_of(MOMENTS, duration_s).tolist()):
         runtime.work.emission.begin(posed, time_s)
         yield time_s, runtime, posed, runtime.work.emission.commanded(posed, np.array([time_s]))[0]
@@ -43,9 +43,9 @@ def sound_of(drives: list[tuple[PhasedArray, Complex]]) -> list[SoundMoment]:
 
 
 def scene_at_head(view: Preview, duration_s: float) -> Exposure:
-    """Return the sound at the head defined by the keys of the driver, with bands for the range of p0.
+    """Return the sound at the head that the keys of the driver define, with the band due to the range of p0.
 
-    Errors as in `palmfield.hardware.safety.exposure.at_head`.
+    The errors are those of `palmfield.hardware.safety.exposure.at_head`.
     """
     model = view.runtime.model
     drives = [(posed.arrays, drive) for *_, posed, drive in drives_over(view, duration_s)]
@@ -54,9 +54,9 @@ def scene_at_head(view: Preview, duration_s: float) -> Exposure:
 
 
 def warn_at_head(view: Preview, duration_s: float) -> None:
-    """Log warnings on the sound at the head, if the keys of the driver define a head.
+    """Log warnings about the sound at the head, if the keys of the driver define a head.
 
-    Raises DeviceError above key head_limit_dB, and the errors of `scene_at_head`.
+    Raises DeviceError if the level is above key head_limit_dB, and the errors of `scene_at_head`.
     """
     driver = view.runtime.spec.driver
     for line in check_head(scene_at_head(view, duration_s), driver) if driver.head_m is not None else ():
@@ -64,7 +64,7 @@ def warn_at_head(view: Preview, duration_s: float) -> None:
 
 
 def banded(view: Preview, drives: list[tuple[PhasedArray, Complex]], loudest: Exposure) -> Exposure:
-    """Add bands for the range of p0 at the loudest moment."""
+    """Add the bands due to the range of p0, at the loudest moment."""
     if loudest.peak_Pa <= 0.0:
         return loudest
     loudness = [abs(arrays.pressure64(loudest.place[None], drive)[0]) for arrays, drive in drives]

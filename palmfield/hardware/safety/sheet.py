@@ -1,4 +1,4 @@
-"""Compute all numbers of a scene's safety sheet: sound at a head and at the hand, audible sound, limits, the board."""
+"""Compute all numbers of the safety sheet of a scene: sound at head and hand, audible sound, limits, and the board."""
 
 import math
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from palmfield.simulation.radiation import Radiation
 from palmfield.types import Complex, Estimate, Float
 
 DEFAULT_HEAD_M = (0.0, -0.35, 0.45)
-"""Default position of a head, of a person who sits in front of an array that faces up; array frame [m]."""
+"""Default position of a head in the array frame [m]: a person sits in front of an array that faces up."""
 
 
 class AtHand(NamedTuple):
@@ -35,12 +35,15 @@ class AtHand(NamedTuple):
 
 @dataclass(frozen=True)
 class SafetySheet:
-    """Numbers of `palmfield safety` for a scene; levels are of the commanded sound, without ring-up.
+    """Numbers of `palmfield safety` for a scene. Levels are those of the commanded sound, without ring-up.
 
-    head_declared: whether the scene defines a head; head_warnings: warnings for users about it, in words
-    distance_m: distance of the sphere of the head from the beam, 0 if the beam enters it; then byproduct is None
-    sounding_share: fraction of moments with sound; p0: p0 of each array; moves: whether hands or arrays move
-    maps, course: levels at the head, at the skins, and over the play, for a picture
+    head_declared: whether the scene defines a head
+    head_warnings: warnings for users about the head, in words
+    distance_m: distance of the head sphere from the beam; 0 if the beam enters the sphere, and byproduct is then None
+    sounding_share: fraction of the moments with sound
+    p0: p0 of each array
+    moves: whether hands or arrays move
+    maps, course: levels at the head, on the skins, and over the play, for the picture
     """
 
     scene: str
@@ -62,7 +65,7 @@ class SafetySheet:
 
 
 class _Loudest(NamedTuple):
-    """The loudest moment at a skin so far. place: its loudest point [m], shape (3,)"""
+    """The loudest moment at a skin up to now. place: its loudest point [m], shape (3,)"""
 
     peak_Pa: float
     place: Float
@@ -74,9 +77,9 @@ class _Loudest(NamedTuple):
 
 
 def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
-    """Compute numbers of a play of `duration_s` [s].
+    """Compute the numbers of a play of `duration_s` [s].
 
-    Raises SceneError if transducers are within head_radius_m of the head, and errors of modules in a step.
+    Raises SceneError if transducers are closer to the head than head_radius_m, and the errors of modules in a step.
     """
     model = view.runtime.model
     times = moments_of(MOMENTS, duration_s)
@@ -133,7 +136,10 @@ def _head_warnings(head: Exposure, driver: DriverConfig) -> tuple[str, ...]:
 
 
 def _audible(view: Preview, driver: DriverConfig, loudest: _Loudest | None) -> tuple[float, Byproduct | None]:
-    """Return the distance of the head from the beam [m], and the by-product at the head at the loudest moment."""
+    """Return the distance of the head from the beam [m], and the audible by-product there.
+
+    The by-product is that of the loudest moment at the head.
+    """
     if loudest is None:
         return math.inf, Byproduct(-math.inf, -math.inf, 0.0)
     posed, emission = loudest.posed, view.runtime.work.emission

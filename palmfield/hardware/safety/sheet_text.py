@@ -1,4 +1,4 @@
-"""A safety sheet as one page of markdown, and as numbers for other programs."""
+"""Format a safety sheet as one page of markdown, or as numbers for other programs."""
 
 import math
 from typing import Any
@@ -85,7 +85,7 @@ def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
 
 
 def _looked_at(sheet: SafetySheet) -> list[str]:
-    """Describe the region of the search for the loudest places."""
+    """Describe the region that was searched for the loudest points."""
     if sheet.moves:
         note = f"hands and arrays follow the motion of the scene at each of the {MOMENTS} moments"
     else:
@@ -106,7 +106,10 @@ def _level(level_dB: float, loudest: Exposure) -> str:
 
 
 def _stepped(sound: Byproduct) -> bool:
-    """Return whether the estimate is largest at its upper end, since A-weighted lines of steps grow with frequency."""
+    """Return whether the loudest line is at the upper end of the estimated range, so that no level can be stated.
+
+    Steps of the sound have A-weighted lines that grow with frequency.
+    """
     return sound.strongest_Hz > 0.25 * RATE_HZ
 
 
@@ -165,7 +168,7 @@ def _board(sheet: SafetySheet) -> list[str]:
 
 
 def as_dict(sheet: SafetySheet) -> dict[str, Any]:
-    """Return numbers with units in the names; levels of silence are null."""
+    """Return the numbers with their units in the names. Levels of silence are null."""
     driver, board = sheet.driver, sheet.board
     sound = None if sheet.byproduct is None or _stepped(sheet.byproduct) else sheet.byproduct
     return {

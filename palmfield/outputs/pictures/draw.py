@@ -1,4 +1,4 @@
-"""Draw requested kinds of pictures of a result into files."""
+"""Draw pictures of a result into files."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ DPI = 300
 
 
 def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
-    """Return the kinds without repeats; all kinds if none is given. Raises OutputError for an unknown one."""
+    """Return the kinds without repeats, or all kinds if the list is empty. Raises OutputError for an unknown kind."""
     for kind in kinds:
         refuse_unknown(OutputError, "picture {} is unknown", kind, KINDS)
     return tuple(dict.fromkeys(kinds)) or tuple(KINDS)
@@ -24,11 +24,12 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
 def draw_pictures(
     result: xr.DataTree, out: str | Path, kinds: Sequence[str] = (), options: Options | None = None, suffix: str = "png"
 ) -> tuple[dict[str, Path], dict[str, str]]:
-    """Draw kinds of pictures of a result, each to OUT/KIND.SUFFIX at 300 dpi.
+    """Draw pictures of a result, each to OUT/KIND.SUFFIX at 300 dpi.
 
-    kinds: kinds of KINDS, all if empty; suffix: one of FORMATS
-    Returns the files by kind, and reasons why others could not be drawn. If all kinds are drawn, those without data are
-    skipped; the first named kind that cannot be drawn raises its OutputError or MeasurementError.
+    kinds: kinds of KINDS, all if empty
+    suffix: one of FORMATS
+    Returns the files by kind, and the reasons why other kinds could not be drawn. If `kinds` is empty, kinds without
+    data are skipped. Otherwise the first kind that cannot be drawn raises its OutputError or MeasurementError.
     Raises OutputError for an unknown kind or format, for options that no kind uses, and if a file cannot be written.
     """
     folder = Path(out)

@@ -1,4 +1,4 @@
-"""Options of a picture, and selection of data of a result by them."""
+"""Options of a picture, and the selection of data from a result by these options."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -20,19 +20,21 @@ IN_MICRO = 1e6
 UNITS: dict[Quantity, str] = {"displacement": "µm", "velocity": "µm/s"}
 """Units equal to 1e-6 of the SI unit of the quantity."""
 FAR_M = 0.01
-"""Largest distance of a place from the skin [m]."""
+"""Largest distance of a requested place from the skin [m]."""
 MISS_SHOWN_M = 5e-4
-"""Distance between place and vertex above which a picture shows it [m]."""
+"""Distance between requested place and vertex above which a picture states it [m]."""
 
 
 @dataclass(frozen=True)
 class Options:
     """Options of a picture.
 
-    time_s: None for the default time of the kind; places: points in the world as the run begins [m], whose nearest
-        vertex is used; limits: limits of the colours or the axis, in the unit of the picture
-    skin: name, if there are several; quantity: quantity of the motion of the skin along its outward normal
-    observer: name of the observer of levels; None for all with a value
+    time_s: requested time [s]; None for the default time of the kind
+    places: points in the world at the start of the run [m]; the nearest vertex to each is used
+    limits: limits of the colours or the axis, in the unit of the picture
+    skin: name of the skin, if there are several
+    quantity: quantity of the motion of the skin along its outward normal
+    observer: name of the observer of levels; None for all observers with a value
     """
 
     time_s: float | None = None
@@ -48,9 +50,12 @@ Draw = Callable[[xr.DataTree, Options], Figure]
 
 
 class Kind(NamedTuple):
-    """A kind of picture. draw: raises OutputError or MeasurementError if the result lacks data; about: a sentence
+    """A kind of picture.
 
-    heeds: options of `Options` that change the picture, default all; unit: unit of its limits
+    draw: function that draws it; raises OutputError or MeasurementError if the result lacks data
+    about: description in one sentence
+    heeds: options of `Options` that change the picture, default all
+    unit: unit of its limits
     place: order in lists: sound (1 to 9), maps of the skin (10 to 19), motion over time (20 to 29)
     """
 
@@ -62,7 +67,7 @@ class Kind(NamedTuple):
 
     @classmethod
     def of_motion(cls, draw: Draw, about: str, *more: str, place: int, unit: str = "µm or µm/s") -> "Kind":
-        """Return a picture of the motion of a skin; more: further options that it uses."""
+        """Return a kind of picture that shows the motion of a skin; more: further options that it uses."""
         return cls(draw, about, frozenset({"places", "limits", "skin", "quantity", *more}), unit, place)
 
 
@@ -76,7 +81,7 @@ def parse_options(
 ) -> Options:
     """Parse options of a command line: times in ms, places "X,Y,Z" in mm, limits "LOW,HIGH".
 
-    Raises OutputError for an unknown quantity, and for texts with another number of finite numbers.
+    Raises OutputError for an unknown quantity, and for texts that do not have the right number of finite numbers.
     """
     refuse_unknown(OutputError, "--quantity has value {}", quantity, UNITS)
     in_mm = [_numbers("--place", text, 3) for text in places_mm]
@@ -100,7 +105,7 @@ def _numbers(option: str, text: str, count: int) -> list[float]:
 
 
 def chosen_names(result: xr.DataTree, options: Options) -> list[str]:
-    """Return names of all skins, or of the requested one. Raises OutputError for an unknown one."""
+    """Return the names of all skins, or of the requested skin. Raises OutputError for an unknown name."""
     skins = list(instances(result, "skin"))
     if options.skin is None:
         return skins
@@ -113,7 +118,7 @@ def chosen_names(result: xr.DataTree, options: Options) -> list[str]:
 def chosen_skin(result: xr.DataTree, options: Options, variable: str) -> tuple[str, xr.Dataset]:
     """Return name and group of the requested skin, which must have a variable over time.
 
-    Raises OutputError if there is none, if there are several and none is requested, and for an unknown name.
+    Raises OutputError if no skin has the variable, if several have it and none is requested, and for an unknown name.
     """
     skins = instances(result, "skin")
     recorded = {name: skins[name] for name in chosen_names(result, options) if has_records(skins[name], variable)}
@@ -132,9 +137,9 @@ def chosen_time(skin: xr.Dataset, options: Options, otherwise: int) -> int:
 
 
 def chosen_frame(result: xr.DataTree, array: xr.Dataset, options: Options) -> tuple[int, float]:
-    """Return the index along `frame_time` of the drive at the requested time, default the loudest drive, and the time.
+    """Return the index along `frame_time` of the drive at the requested time, and this time.
 
-    Raises OutputError for a time outside the run.
+    The default is the time of the loudest drive. Raises OutputError for a time outside the run.
     """
     starts: Float = array["frame_time"].values
     if options.time_s is None:
@@ -147,10 +152,7 @@ def chosen_frame(result: xr.DataTree, array: xr.Dataset, options: Options) -> tu
 
 
 def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, options: Options) -> list[tuple[int, str]]:
-    """Return vertices and their descriptions: nearest to the requested places, or around the largest motion.
-
-    Raises OutputError for a place that is not on the skin.
-    """
+    """Return vertices and their descriptions: those nearest to the requested places, or around the largest motion."""
     if not options.places:
         rest = skin["rest_position"].values
         found = probe_vertices(rest, extremes(skin, options.quantity).peak)
@@ -174,7 +176,7 @@ def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, options: O
 
 
 def limits_of(options: Options, low: float, high: float) -> tuple[float, float]:
-    """Return the requested limits, or else `low` and `high`, widened if they are equal."""
+    """Return the requested limits, or else `low` and `high`. Equal limits are widened."""
     if options.limits is not None:
         return options.limits
     return low, high if high > low else low + 1e-9

@@ -1,4 +1,4 @@
-"""Draw one overview with a small picture of each kind available for a run."""
+"""Draw one overview with a small picture of each kind that a run allows."""
 
 import textwrap
 from pathlib import Path
@@ -21,8 +21,8 @@ SMALL_DPI, DPI = 110, 150
 def draw_sheet(result: xr.DataTree, path: Path) -> dict[str, str]:
     """Draw a small picture of every kind, with its name and description, into one PNG.
 
-    Returns reasons why kinds could not be drawn, by kind; the overview shows them instead of the pictures. Raises
-    OutputError if the file cannot be written.
+    Returns, by kind, the reasons why a picture could not be drawn. The overview shows the reason instead of the
+    picture. Raises OutputError if the file cannot be written.
     """
     missing: dict[str, str] = {}
     made_folder(path.parent)

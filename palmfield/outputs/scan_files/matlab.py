@@ -39,7 +39,7 @@ def read_mat(file: Path) -> Scan:
 
 
 def write_mat(file: Path, scan: Scan) -> None:
-    """Write a scan that `read_mat` reads unchanged. Raises OutputError if that fails."""
+    """Write a scan; `read_mat` reads it back unchanged. Raises OutputError if that fails."""
     variables = {"time_s": scan.times_s[:, None], "points_m": scan.points, NAMES[scan.quantity]: scan.values}
     with writing(file):
         savemat(file, variables | ({} if scan.sights is None else {"sights": scan.sights}), appendmat=False)

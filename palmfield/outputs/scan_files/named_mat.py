@@ -1,7 +1,7 @@
 """Read scans from MATLAB files of other laboratories by names of variables and order of axes.
 
-Variables are read one by one, each only when it is needed: setting and places can be read while the velocity is not.
-SciPy reads files up to version 7, h5py version 7.3, which is HDF5.
+Each variable is read only when it is needed. So the settings and places can be read without the velocity. SciPy reads
+files up to version 7, h5py version 7.3, which is HDF5.
 """
 
 import math
@@ -25,11 +25,11 @@ from palmfield.types import Float, Int
 AXES = (("place", "time"), ("place", "time", "repetition"), ("x", "y", "time"), ("x", "y", "time", "repetition"))
 """Axes of the velocity, in any order."""
 BASELINE = 0.01
-"""Fraction of a reference record, at its beginning, before the stimulus."""
+"""Fraction of a reference record, at its beginning, that precedes the stimulus."""
 
 
 class MatVariables(Settings):
-    """Names of the variables of a MATLAB file, their units, and what the file lacks."""
+    """Names of the variables in a MATLAB file, their units, and values that the file does not contain."""
 
     instrument: ClassVar[str] = "variables"
     velocity: str = Field(default="y", description="variable of the velocity")
@@ -46,7 +46,7 @@ class MatVariables(Settings):
 
 
 def listed(file: Path) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Return shape and type of each variable by name, from headers only."""
+    """Return the shape and type of each variable by name, read from the headers only."""
     try:
         return {name: (tuple(shape), kind) for name, shape, kind in whosmat(regular(file))}
     except NotImplementedError:
@@ -76,9 +76,10 @@ def read_variable(file: Path, name: str) -> NDArray:
 
 @dataclass(frozen=True)
 class NamedMat:
-    """A scan in a MATLAB file; every property reads only its own variables, once.
+    """A scan in a MATLAB file; each property reads only its own variables, and only once.
 
-    Raises MeasurementError for missing variables, with those found, wrong shapes, and positions that are not finite.
+    Raises MeasurementError for missing variables, wrong shapes, and positions that are not finite. The error lists the
+    variables of the file.
     """
 
     file: Path
@@ -128,7 +129,10 @@ class NamedMat:
         return listed(self.file)
 
     def check_shape(self) -> None:
-        """Compare the shape of the velocity, from its header, with places and axes, and look up the other names."""
+        """Compare the shape of the velocity, from its header, with places and axes.
+
+        Also check that the other variables exist.
+        """
         for key in ("rate", "reference"):
             if name := getattr(self.variables, key):
                 self._header(key, name)
@@ -142,9 +146,12 @@ class NamedMat:
             )
 
     def records(self) -> tuple[Float, Float]:
-        """Read velocity and reference: return times from the start of the stimulus [s], and [m/s], shape (r, t, n).
+        """Read velocity and reference.
 
-        Each record is shifted by the start of its reference signal; without reference, onset_s is the common start.
+        Return times from the start of the stimulus [s], and velocities [m/s], shape (r, t, n).
+
+        Each record is shifted in time by the start of its reference signal. Without a reference, onset_s is the start
+        of all.
         """
         self.check_shape()
         named = self.variables

@@ -47,8 +47,8 @@ class _Point(NamedTuple):
 def read_polytec(folder: Path) -> Scan:
     """Read a scan from a folder of text files and its table of positions.
 
-    Raises MeasurementError for unrecognised parts of a file, for points without a position, and for signals of
-    different kinds or times.
+    Raises MeasurementError for a part of a file that is not recognised, for points without a position, and for signals
+    of different kinds or times.
     """
     files = sorted(folder.glob("*.txt"))
     if not files:
@@ -146,7 +146,7 @@ def _quantity(file: Path, signal: str) -> Quantity:
 
 
 def _table(file: Path, lines: list[str], first: int, quantity: Quantity) -> Float:
-    """Return times [s] and values [m or m/s], shape (t, 2). first: line number in the file of the first line"""
+    """Return times [s] and values [m or m/s], shape (t, 2). first: number, in the file, of the first line"""
     names, units = ([cell.strip() for cell in line.split("\t")] for line in (*lines[:2], "", "")[:2])
     if len(names) != 2 or names[0] != "Time" or len(units) != 2:
         raise MeasurementError(

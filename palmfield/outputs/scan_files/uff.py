@@ -22,9 +22,9 @@ SIGHT = "sight "
 ALONG_BEAM = (0, 3)
 LONGEST_LINE = 250
 DELIMITER, TAIL = b"    -1", 4096
-"""Line that ends a data set; largest number of bytes after the last one."""
+"""Line that ends a data set, and largest number of bytes after the last such line."""
 LONGEST_PATH = 80
-"""Largest length of messages of pyuff, which contain paths."""
+"""Largest length of a path. The messages of pyuff contain paths."""
 
 
 def _pyuff() -> Any:
@@ -121,7 +121,10 @@ def read_uff(file: Path) -> Scan:
 
 
 def _unit(file: Path, function: dict[str, Any], quantity: Quantity, by_set: float | None) -> float:
-    """Return the unit of values [m or m/s] from its label, if any, which must agree with data set 164."""
+    """Return the unit of values [m or m/s].
+
+    It comes from the label of the function, if any, and must agree with data set 164.
+    """
     time = str(function.get("abscissa_axis_units_lab") or "").strip()
     if time.lower() not in ("", "none", "s", "sec", "seconds"):
         raise MeasurementError(f"{file}: times have the unit label '{time[:20]}'; allowed: s; export in seconds")

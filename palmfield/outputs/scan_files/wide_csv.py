@@ -92,7 +92,7 @@ def _quantity(file: Path, head: dict[str, str]) -> tuple[Quantity, float]:
 
 
 def write_csv(file: Path, scan: Scan) -> None:
-    """Write a scan that `read_csv` reads unchanged. Raises OutputError if that fails."""
+    """Write a scan; `read_csv` reads it back unchanged. Raises OutputError if that fails."""
     unit = "m/s" if scan.quantity == "velocity" else "m"
     with writing(file), file.open("w", newline="", encoding="utf-8") as text:
         text.write(f"# quantity: {scan.quantity}\n# unit: {unit}\n")

@@ -106,7 +106,10 @@ def _turns(array: xr.Dataset) -> Float | None:
 
 
 def _discs(positions: Float, turns: Float | None, radius: float, above: float) -> Float:
-    """Return the corners of a disc at each transducer, at a height above its face, shape (n * CORNERS, 3)."""
+    """Return the corners of a disc at each transducer, shape (n * CORNERS, 3).
+
+    above: height over the face of the transducer
+    """
     angle = TURN * np.arange(CORNERS) / CORNERS
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(CORNERS, above)])
     if turns is None:

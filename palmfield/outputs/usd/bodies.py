@@ -22,7 +22,7 @@ SKIN_COLOUR = (0.70, 0.47, 0.36)
 """Colour of bodies and their skins without a coloured quantity."""
 FORCE_ROUNDING = "up or down to 1/1000 of the range at the moment, so that the sum over areas does not change"
 FORCE_PART = 1000
-"""Range of the pressure on faces divided by its rounding: the sum must equal the force, even if it is small."""
+"""Range of the pressures on faces divided by their rounding step. The sum must equal the force, even a small one."""
 
 
 class BodyWriter:
@@ -43,7 +43,9 @@ class BodyWriter:
     ):
         """Add the prims of the body.
 
-        body, forces: groups of any of its skins; surfaces: surfaces of skins with a surface; skins: skins by name
+        body, forces: groups of any of its skins
+        surfaces: surfaces of the skins that have one
+        skins: skins by name
         colour: colour of the body, and of its skins without colours over time
         """
         boned = body is not None and has_records(body, "bone_pose")
@@ -83,7 +85,7 @@ class BodyWriter:
         skins: list[xr.Dataset],
         colour: tuple[float, ...],
     ) -> list[tuple[UsdGeom.Mesh, xr.Dataset, slice]]:
-        """Add the closed surface of the body with the ARP, and the same surface lowered below its skins for drawing."""
+        """Add the closed surface of the body with the ARP. For drawing, add a copy that is lowered below the skins."""
         first, everything = surfaces[0], slice(None)
         points, faces = first["rest_position"].values, first["face"].values
         mesh = add_mesh(stage, f"{path}/Surface", points, faces, colour)
@@ -146,5 +148,8 @@ class BodyWriter:
 
 
 def steps_of(step_times: Float, times_s: Float) -> Int:
-    """Return the MuJoCo steps that contain times [s], shape (n,), or end at them; the first at the start of the run."""
+    """Return the MuJoCo steps that contain, or end at, times [s], shape (n,).
+
+    At the start of the run it is the first step.
+    """
     return np.maximum(0, np.searchsorted(step_times, times_s - 1e-9) - 1).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Times of a run in a USD scene, and their time codes: time [s] = time code / codes per second."""
+"""Times of a run in a USD scene, and their time codes. Time [s] = time code / codes per second."""
 
 from typing import Any, NamedTuple
 
@@ -11,13 +11,16 @@ from palmfield.outputs.usd.shown import Shown
 from palmfield.types import Float, Int
 
 DECIMALS = 6
-"""Decimals of time codes: a millionth of a frame is far finer than the times of the run."""
+"""Number of decimals of time codes. A millionth of a frame is much finer than the times of the run."""
 
 
 class Clock(NamedTuple):
-    """places: indices of included times of the run; times_s: these times [s], shape (n,); codes: time codes, shape (n,)
+    """Times of a run that a USD scene includes.
 
-    per_second: time codes per second of the run
+    places: indices of the included times
+    times_s: these times [s], shape (n,)
+    codes: their time codes, shape (n,)
+    per_second: number of time codes per second of the run
     """
 
     places: slice
@@ -31,16 +34,13 @@ class Clock(NamedTuple):
 
 
 def rows_at(variable: xr.DataArray, dim: str, numbers: Int) -> NDArray[Any]:
-    """Return rows of a variable along its record dimension, by rising numbers, in one read."""
+    """Return rows of a variable along its record dimension, in one read. numbers: rising numbers of the rows"""
     first = int(numbers[0])
     return np.asarray(variable.isel({dim: slice(first, int(numbers[-1]) + 1)}).values)[numbers - first]
 
 
 def clock_of(result: xr.DataTree, shown: Shown) -> Clock:
-    """Return the clock of a result; without times if it has none.
-
-    Raises OutputError for times outside the run.
-    """
+    """Return the clock of a result. If the result has no times, the clock has none."""
     times: Float = np.asarray(result.coords["time"].values, float) if "time" in result.coords else np.zeros(0)
     if len(times) == 0:
         return Clock(slice(0, 0), times, times, 1.0)

@@ -22,18 +22,21 @@ SLICE_STEP_M = 1.5e-3
 MARGIN_M = 0.05
 """Distance by which the slice extends beyond the foci on both sides [m]."""
 BEGINS_M, BEYOND_M = 0.01, 0.04
-"""Distances of the ends of the slice from the array and beyond the focus [m]."""
+"""Distance from the array at which the slice begins, and distance by which it extends beyond the focus [m]."""
 ROUND_M = 0.025
-"""Margin around the foci of the box in which points and surfaces are computed [m]."""
+"""Margin around the foci of the box for points and isosurfaces [m]."""
 MOST_IN_BOX = 100_000
 REACH_M = 0.2
-"""Assumed distance from the array of the focus of a drive without one [m]."""
+"""Distance of the focus from the array that is assumed for a drive without a focus [m]."""
 POINT_M = 1.2e-3
 
 
 class _Moment(NamedTuple):
-    """The sound at a time. time_s: [s]; slice_Pa: peak amplitudes on the slice, (n,); box_Pa: peak amplitude in the
-    box, (m,)
+    """The sound at one time.
+
+    time_s: the time [s]
+    slice_Pa: peak amplitudes on the slice, shape (n,)
+    box_Pa: peak amplitudes in the box, shape (m,)
     """
 
     time_s: float
@@ -42,7 +45,11 @@ class _Moment(NamedTuple):
 
 
 class _Grid(NamedTuple):
-    """Points of the world [m]. slice: shape (n, 3), of a grid of `shape`; box: shape (m, 3), of a grid of `sides`"""
+    """Points in the world [m].
+
+    slice: points of a grid of `shape`, shape (n, 3)
+    box: points of a grid of `sides`, shape (m, 3)
+    """
 
     slice: Float
     shape: tuple[int, int]
@@ -51,7 +58,7 @@ class _Grid(NamedTuple):
 
 
 def add_field(stage: Usd.Stage, result: xr.DataTree, shown: Shown, clock: Clock) -> Palette:
-    """Add the requested shapes of the field at their times; return their common palette.
+    """Add the requested shapes of the field at the requested times; return their common palette.
 
     The field is the peak amplitude of `palmfield.outputs.sound.sound_at` (incident, free air). Raises its errors,
     and OutputError for a result without drives and for times outside the run.
@@ -170,9 +177,9 @@ def _add_surface(
 
 
 def isosurface(values: Float, level: float) -> tuple[Float, Int]:
-    """Return the surface of a level of values on a grid: points in grid steps, (p, 3), and triangles, (m, 3).
+    """Return the isosurface of values on a grid: points in grid steps, shape (p, 3), and triangles, shape (m, 3).
 
-    Triangles are counter-clockwise seen from lower values.
+    Triangles are counter-clockwise if seen from the side of lower values.
     """
     if not values.min() < level < values.max():
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
@@ -187,7 +194,7 @@ def isosurface(values: Float, level: float) -> tuple[Float, Int]:
 
 
 def _between(grid: _Grid, points: Float) -> Float:
-    """Convert points in steps of the grid of the box to the world [m]."""
+    """Convert points in steps of the box grid to the world [m]."""
     box = grid.box.reshape(*grid.sides, 3)
     origin = box[0, 0, 0]
     steps = np.stack([box[1, 0, 0] - origin, box[0, 1, 0] - origin, box[0, 0, 1] - origin])

@@ -1,4 +1,4 @@
-"""Add a legend of the colours of a scene as geometry: a bar, ticks and labels, next to the coloured object."""
+"""Add a legend of the colours of a scene as geometry next to the coloured object: a bar, ticks and labels."""
 
 from itertools import pairwise
 
@@ -18,9 +18,9 @@ from palmfield.types import Float, Int
 
 INK = (0.02, 0.02, 0.02)
 TALL = 0.55
-"""Height of the bar relative to the picture."""
+"""Height of the bar as a fraction of the picture height."""
 WIDE = 0.06
-"""Width of the whole legend relative to the height of the bar."""
+"""Width of the whole legend as a fraction of the height of the bar."""
 TEXT = 0.05
 STEPS_A_LETTER = 14.0
 
@@ -30,7 +30,8 @@ def add_legend(
 ) -> None:
     """Add the legend of a quantity in the right part of the picture, at a distance [m] from the camera.
 
-    Its customData contains quantity, low and high in the unit of the primvar, and ticks in this and in the shown unit.
+    Its customData contains the quantity, low and high in the unit of the primvar, and the ticks in this unit and in the
+    displayed unit.
     """
     root = UsdGeom.Xform.Define(stage, path)
     pixel = depth_m / camera.focal
@@ -74,7 +75,7 @@ def _box(left: float, right: float, low: float, high: float) -> Float:
 
 
 def lettering(texts: list[tuple[float, float, str]]) -> tuple[Float, Int]:
-    """Return texts at positions as flat triangles, shapes (n, 2) and (m, 3)."""
+    """Return texts at positions as flat triangles: points, shape (n, 2), and triangles, shape (m, 3)."""
     points, faces, count = [], [], 0
     for x, y, text in texts:
         outline = TextPath((0.0, 0.0), text, size=1.0)
@@ -93,7 +94,7 @@ def lettering(texts: list[tuple[float, float, str]]) -> tuple[Float, Int]:
 
 
 def _dense(ring: Float) -> Float:
-    """Return a closed outline with a small point spacing relative to a letter."""
+    """Return a closed outline whose point spacing is small compared with a letter."""
     parts = []
     for a, b in pairwise(ring):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) * STEPS_A_LETTER)))

@@ -9,12 +9,12 @@ from palmfield.types import Float
 PICTURE = (960, 720)
 """Width and height of the picture of the camera [pixels]."""
 LEGEND_SHARE = 0.80
-"""Fraction of the width for the scene; the legend uses the rest."""
+"""Fraction of the picture width that the scene uses. The legend uses the rest."""
 APERTURE = 36.0
 
 
 def add_material(stage: Usd.Stage) -> None:
-    """Add a UsdPreviewSurface whose colour is the primvar displayColor, for all of the scene."""
+    """Add a UsdPreviewSurface for the whole scene. Its colour is the primvar displayColor."""
     material = UsdShade.Material.Define(stage, "/Scene/Looks/DisplayColour")
     surface = UsdShade.Shader.Define(stage, "/Scene/Looks/DisplayColour/Surface")
     surface.CreateIdAttr("UsdPreviewSurface")
@@ -31,7 +31,7 @@ def add_material(stage: Usd.Stage) -> None:
 
 
 def add_lights(stage: Usd.Stage, camera: Camera) -> None:
-    """Add uniform light from all directions, and a lamp next to the camera."""
+    """Add uniform light from all directions, and a lamp at the camera."""
     UsdGeom.Scope.Define(stage, "/Scene/Lights")
     dome = UsdLux.DomeLight.Define(stage, "/Scene/Lights/Dome")
     dome.CreateIntensityAttr(0.5)
@@ -62,7 +62,7 @@ def add_camera(stage: Usd.Stage, camera: Camera, reach_m: float) -> None:
 
 
 def _matrix(forward: Float, up: Float, place: Float) -> Gf.Matrix4d:
-    """Return the matrix of an object that looks along its -z with y up, like cameras and lights in USD."""
+    """Return the matrix of an object that looks along its -z axis with y up, as cameras and lights do in USD."""
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     rows = np.eye(4)

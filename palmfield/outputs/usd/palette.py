@@ -15,7 +15,12 @@ COLOURS = 256
 
 
 class Palette(NamedTuple):
-    """low, high: mapped range, in the unit of the primvar; colours: sRGB, shape (256, 3); map: name of the map"""
+    """Colour palette of a quantity.
+
+    low, high: mapped range, in the unit of the primvar
+    colours: sRGB, shape (256, 3)
+    map: name of the colour map
+    """
 
     low: float
     high: float
@@ -24,7 +29,10 @@ class Palette(NamedTuple):
 
     @property
     def at_rest(self) -> tuple[float, ...]:
-        """Return the colour of zero, or of the end of the range closest to it, in linear RGB."""
+        """Return the colour of zero in linear RGB.
+
+        If the range excludes zero, return the colour of the end closest to zero.
+        """
         return tuple(linear_rgb(self.colours[int(self.numbers(np.zeros(1))[0])]).tolist())
 
     def numbers(self, values: NDArray[np.floating]) -> Int:
@@ -36,7 +44,8 @@ class Palette(NamedTuple):
 def palette_of(low: float, high: float, two_sided: bool, limits: tuple[float, float] | None) -> Palette:
     """Return the palette of a quantity with values from low to high.
 
-    two_sided: blue below zero, red above, symmetric unless limits are set; else from pale to dark, beginning at zero
+    two_sided: whether values have both signs. If so, blue is below zero and red above, symmetric unless limits are set.
+    If not, colours go from pale (zero) to dark.
     """
     if limits is None:
         top = max(abs(low), abs(high)) or 1.0
@@ -52,7 +61,7 @@ def cyclic_palette(period: float) -> Palette:
 
 
 def paint(prim: UsdGeom.Gprim, palette: Palette, interpolation: str, **facts: Any) -> UsdGeom.Primvar:
-    """Add a palette with its description to a prim; colours are chosen by the indices of the primvar."""
+    """Add a palette with its description to a prim. The indices of the primvar select the colours."""
     colour = prim.CreateDisplayColorPrimvar(interpolation)
     colour.Set(vectors(linear_rgb(palette.colours)))
     about(colour.GetAttr(), low=palette.low, high=palette.high, map=palette.map, **facts)

@@ -21,9 +21,9 @@ from palmfield.types import Float
 ROOT = "/Scene/MuJoCo"
 EARTH = "[0.0, 0.0, -9.81]"
 MOTION, RECORDED, SIMULATED = "motion", "recorded", "simulated"
-"""The variant set and its variants: bodies that follow the run, and bodies moved by a physics engine."""
+"""Variant set, and its two variants: bodies that follow the recorded run, and bodies that a physics engine moves."""
 SQUARE = 1e-3
-"""Largest cosine between axes of joints that count as perpendicular."""
+"""Largest cosine of the angle between two joint axes that count as perpendicular."""
 DEGREES = 180.0 / np.pi
 D6_MOVES = ("transX", "transY", "transZ")
 D6_TURNS = ("rotX", "rotY", "rotZ")
@@ -83,7 +83,7 @@ class PhysicsWriter:
             moves.extend(codes, poses[:, number])
 
     def stand(self) -> None:
-        """Write poses of the bodies with all joints at their reference, for a run without steps."""
+        """Write poses of the bodies with all joints in the reference position, for a run without steps."""
         scene = self._scene
         poses = np.zeros((len(scene["body_name"]), 7))
         poses[0, 3] = 1.0
@@ -221,7 +221,10 @@ class PhysicsWriter:
             made.CreateUpperLimitAttr(ends[1])
 
     def _add_several(self, body: int, joints: list[int], kinds: list[str]) -> bool:
-        """Add one joint of six degrees of freedom for slides and hinges with perpendicular axes; return its success."""
+        """Add one joint with six degrees of freedom for slides and hinges with perpendicular axes.
+
+        Return whether it succeeded.
+        """
         scene = self._scene
         axes = scene["joint_axis"][joints]
         anchors = scene["joint_position"][joints]
@@ -264,7 +267,10 @@ class PhysicsWriter:
         return True
 
     def _ends(self, joint: int) -> tuple[float, float] | None:
-        """Return the limits of a joint relative to its reference, degrees for hinges; None if it has none."""
+        """Return the limits of a joint relative to its reference, in degrees for hinges.
+
+        Returns None for a joint without limits.
+        """
         scene = self._scene
         if not bool(scene["joint_limited"][joint]):
             return None
@@ -310,7 +316,7 @@ class PhysicsWriter:
 
 
 def _across(axis: Float) -> Float:
-    """Return any unit vector perpendicular to an axis."""
+    """Return an arbitrary unit vector that is perpendicular to an axis."""
     other = np.eye(3)[int(np.abs(axis).argmin())]
     found = np.cross(axis, other)
     return found / np.linalg.norm(found)

@@ -15,7 +15,7 @@ NAMESPACE = "palmfield"
 
 
 def about(thing: Any, **facts: Any) -> None:
-    """Set customData of a prim or an attribute: `palmfield:NAME` for each name."""
+    """Set customData of a prim or an attribute: one entry `palmfield:NAME` for each name."""
     for name, value in facts.items():
         if isinstance(value, list):
             value = (Vt.StringArray if value and isinstance(value[0], str) else Vt.DoubleArray)(value)
@@ -46,8 +46,9 @@ def add_mesh(
     colour: tuple[float, ...] | None,
     normals: ArrayLike | None = None,
 ) -> UsdGeom.Mesh:
-    """Add a mesh of polygons with equal numbers of corners, faces of shape (m, corners), in one colour or without.
+    """Add a mesh of polygons, in one colour or without colour.
 
+    faces: shape (m, corners); all polygons have the same number of corners
     normals: normals of vertices, for smooth shading; None for flat faces
     """
     mesh = UsdGeom.Mesh.Define(stage, path)
@@ -100,7 +101,7 @@ def add_primvar(
 
 
 class Moves:
-    """Translation and orientation of a prim over time, without samples while its pose is constant."""
+    """Translation and orientation of a prim over time. There are no time samples while the pose is constant."""
 
     def __init__(self, prim: UsdGeom.Xformable):
         precise = UsdGeom.XformOp.PrecisionDouble

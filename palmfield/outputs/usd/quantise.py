@@ -1,4 +1,4 @@
-"""Round values to 1/255 of their range: few distinct values, which USD crate files compress well."""
+"""Round values to 1/255 of their range. USD crate files compress few distinct values well."""
 
 from typing import NamedTuple
 
@@ -8,16 +8,18 @@ from numpy.typing import NDArray
 from palmfield.types import Float, Float32, Int
 
 PART = 255
-"""Range divided by the largest error."""
+"""Range of the values divided by the largest rounding error."""
 
 
 class Rounding(NamedTuple):
-    """Rounding of values in a range to multiples of a step, so that 0 is unchanged.
+    """Rounding of values in a range to multiples of a step. Value 0 is unchanged.
 
-    low, high: the range; bound: largest error; weights: weights of each value, if the weighted sum must be preserved
-    To preserve a sum, such as a force from pressures over areas, each time has its own threshold above which values are
-    rounded up. With rounding to the nearest step, large areas with small pressures would lose 2 % of the force on a
-    hand.
+    low, high: the range
+    bound: largest error
+    weights: weight of each value, if the weighted sum must be preserved
+    An example of such a sum is a force: pressures weighted by areas. To preserve it, each time has its own threshold
+    above which values are rounded up. With rounding to the nearest step, large areas with small pressures would lose 2
+    % of the force on a hand.
     """
 
     low: float
@@ -43,7 +45,10 @@ class Rounding(NamedTuple):
 
 
 def _largest(values: Float, weights: Float, total: float) -> Int:
-    """Return the indices of the largest values, from 0 to 1, whose weights add up to less than a total."""
+    """Return the indices of the largest values.
+
+    values: from 0 to 1; the weights of the result add up to less than `total`.
+    """
     # Short integers are sorted ten times as fast as floats, which are sorted only where the sum passes the total
     coarse = (-32767.0 * values).astype(np.int16)
     order: Int = np.argsort(coarse, kind="stable").astype(np.int32)
@@ -58,7 +63,7 @@ def _largest(values: Float, weights: Float, total: float) -> Int:
 
 
 def rounding(low: float, high: float, weights: Float | None = None, part: int = PART) -> Rounding:
-    """Return the rounding of values from low to high with error (high - low) / part; for an empty range none."""
+    """Return the rounding of values from low to high, with error (high - low) / part. An empty range is not rounded."""
     if not high > low:
         return Rounding(low, high, 0.0, 0.0)
     step = (high - low) / (part if weights is not None else (part + 1) // 2)

@@ -1,4 +1,4 @@
-"""Quantities of skins by vertex over time in a USD scene."""
+"""Quantities at the vertices of skins over time, in a USD scene."""
 
 from typing import NamedTuple
 
@@ -9,13 +9,17 @@ from palmfield.types import Float32
 
 
 class Quantity(NamedTuple):
-    """A quantity of skin; the name of its primvar is its key in QUANTITIES.
+    """A quantity of a skin. Its key in QUANTITIES is the name of its primvar.
 
     variable: variable of group /skin of the result; "" for a quantity computed from the displacement
     along_normal: whether it is the component along the outward normal at rest
-    unit: unit of the primvar, SI; sign: meaning of a positive value; title: title in legends
-    shown_unit, per_unit: unit of the legend, and number of shown units in one unit of the primvar
-    two_sided: whether values have both signs; keeps_sum: whether its sum over areas must be kept
+    unit: SI unit of the primvar
+    sign: meaning of a positive value
+    title: title in legends
+    shown_unit: unit in the legend
+    per_unit: number of shown units in one unit of the primvar
+    two_sided: whether values have both signs
+    keeps_sum: whether rounding must preserve the sum over areas
     """
 
     variable: str

@@ -1,4 +1,4 @@
-"""Write an attribute over time, with samples only at changes."""
+"""Write an attribute over time, with time samples only where it changes."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pxr import Sdf, Usd
 
 Make = Callable[[NDArray[Any]], Any]
-"""Converts an array to a USD value."""
+"""Function that converts an array to a USD value."""
 
 
 class Samples:

@@ -1,4 +1,4 @@
-"""Contents of a USD scene of a run."""
+"""What a USD scene of a run contains."""
 
 from dataclasses import dataclass
 
@@ -19,9 +19,9 @@ class Shown:
         quantities
     magnify: factor of the motion in the variant "magnified"; None: the largest motion appears as about 2 mm, if its
         points take 8 MB or less; 0: no such variant
-    quantities: written as primvars, None for all in the result
+    quantities: quantities that are written as primvars, None for all quantities of the result
     start_s, end_s: part of the run [s], None for its ends; frames: largest number of time codes
-    field: shapes of the sound field, of FIELD_SHAPES; field_times_s: their times [s], () for the loudest
+    field: shapes of the sound field, of FIELD_SHAPES; field_times_s: their times [s], () for the loudest time
     level_Pa: level of the isosurface and lower limit of points, peak amplitude [Pa];
         None for half of the maximum around the foci
     observer: observer of the level above threshold
@@ -41,7 +41,7 @@ class Shown:
 
 
 def check_shown(shown: Shown) -> None:
-    """Raise OutputError for options that are invalid for any run."""
+    """Raise OutputError for options that are invalid for every run."""
     refuse_unknown(OutputError, "colour has value {}", shown.colour, [*QUANTITIES, NO_COLOUR])
     for name in shown.quantities or ():
         refuse_unknown(OutputError, "quantities has value {}", name, QUANTITIES)

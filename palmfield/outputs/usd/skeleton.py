@@ -11,7 +11,7 @@ from palmfield.types import Float, Float32, Int
 
 
 def identifiers(names: Iterable[str]) -> dict[str, str]:
-    """Return unique names that USD allows for prims and joints, by original name."""
+    """Return unique names that USD allows for prims and joints. The keys are the original names."""
     result: dict[str, str] = {}
     for name in names:
         # USD would remove a digit at the beginning
@@ -22,9 +22,9 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
 
 
 def add_skeleton(stage: Usd.Stage, root: str, body: xr.Dataset) -> tuple[UsdSkel.Skeleton, UsdSkel.Animation]:
-    """Add skeleton and animation without motion under a UsdSkel root, whose frame is that of the body.
+    """Add a skeleton, and an animation without motion, under a UsdSkel root.
 
-    body: group /body of a result, with bone_rest
+    The frame of the root is that of the body.
     """
     skeleton = UsdSkel.Skeleton.Define(stage, f"{root}/Skeleton")
     count = body.sizes["bone"]

@@ -22,21 +22,23 @@ from palmfield.types import Float, Float32, Int
 
 MOTION = "motion"
 REST, MAGNIFIED = "rest", "magnified"
-"""The variant set of each skin and its variants: points at rest, and points moved by a factor."""
+"""Variant set of each skin, and its two variants: points at rest, and points moved by a factor."""
 LOUDEST = {
     "loudest_arp": "at the loudest instant; positive values push into the surface",
     "loudest_pressure": "peak amplitude at the loudest instant",
 }
-"""Quantities of skins and bodies at the loudest moment [Pa], and their signs."""
+"""Quantities of skins and bodies at the loudest moment [Pa], with their signs."""
 AFFERENT_M = 5e-4
-"""Width of the point of an afferent [m]."""
+"""Drawn width of the point of an afferent [m]."""
 
 
 def strip_order(points: Float) -> Int:
-    """Return the order of points [m], shape (n, 3), in strips of alternating direction, shape (n,).
+    """Return the order of points [m], shape (n, 3), as indices, shape (n,).
 
-    Strips are along the longest axis and as wide as the point spacing. The file of a wave on 71 x 71 points takes
-    6 % less space than with a Hilbert curve, and 30 % less than unordered.
+    They are in strips of alternating direction.
+
+    The strips are parallel to the longest axis and as wide as the point spacing. This order compresses well: the file
+    of a wave on 71 x 71 points is 6 % smaller than with a Hilbert curve, and 30 % smaller than with unordered points.
     """
     local = points - points.mean(axis=0)
     along, across = (local @ np.linalg.svd(local, full_matrices=False)[2][:2].T).T
@@ -46,7 +48,10 @@ def strip_order(points: Float) -> Int:
 
 
 def frame_blocks(skin: xr.Dataset | None, clock: Clock, most: int) -> Iterator[slice]:
-    """Yield the frames in blocks of at most `most`, fewer if the vectors of a skin would exceed a piece."""
+    """Yield the frames in blocks of at most `most` frames.
+
+    Blocks are smaller if the vectors of a skin would be too large.
+    """
     row = 12 * (1 if skin is None else skin.sizes["vertex"])
     size = max(1, min(most, PIECE_BYTES // row))
     for start in range(0, len(clock.codes), size):
@@ -65,7 +70,7 @@ def recorded_quantities(skin: xr.Dataset) -> dict[str, Quantity]:
 
 
 def ranges_of(skin: xr.Dataset, clock: Clock, names: list[str]) -> dict[str, tuple[float, float]]:
-    """Return lowest and highest value of recorded quantities at the times of the clock, in one pass."""
+    """Return the lowest and highest value of recorded quantities at the times of the clock, in one pass."""
     found = {name: (np.inf, -np.inf) for name in names}
     for frames in frame_blocks(skin, clock, PIECE_BYTES):
         for name, (low, high) in found.items():
@@ -75,7 +80,7 @@ def ranges_of(skin: xr.Dataset, clock: Clock, names: list[str]) -> dict[str, tup
 
 
 class _Track(NamedTuple):
-    """One quantity to write. colour: palette and target of its indices, if it is the colour"""
+    """One quantity that is written. colour: palette and target of its indices, if this quantity gives the colour"""
 
     quantity: Quantity
     rounding: Rounding
@@ -107,11 +112,11 @@ def add_afferents(stage: Usd.Stage, path: str, skin: xr.Dataset) -> None:
 class SkinWriter:
     """Writes one skin, frame by frame.
 
-    mesh: mesh of the skin, with vertices in strips; order: number of each vertex in the result
+    mesh: mesh of the skin, with vertices in the order of `strip_order`; order: number of each vertex in the result
     """
 
     def __init__(self, stage: Usd.Stage, path: str, skin: xr.Dataset, colour: tuple[float, ...]):
-        """colour: used if there are no colours over time"""
+        """colour: colour of the skin if it has no colours over time"""
         rest = skin["rest_position"].values
         self._stage, self._skin = stage, skin
         self.order: Int = strip_order(rest)
@@ -143,7 +148,7 @@ class SkinWriter:
         self._tracks[name] = _Track(quantity, rounded, Samples(primvar.GetAttr(), floats), coloured)
 
     def set_levels(self, course: LevelCourse) -> None:
-        """Set the source of the level above threshold; `add_quantity` must be called for it before."""
+        """Set the source of the level above threshold. Call `add_quantity` for this quantity first."""
         self._levels = course
 
     def magnify(self, factor: float) -> None:

@@ -15,12 +15,12 @@ SAVE_EVERY = 200
 
 
 def partial_of(path: Path) -> Path:
-    """Return the path of the scene so far, which can be read during writing and after a kill."""
+    """Return the path of the partial scene, which can be read during writing and after a kill."""
     return path.with_name(f"{path.stem}.partial.usdc")
 
 
 def unfinished_scenes(folder: Path) -> list[tuple[Path, str]]:
-    """Return files of an interrupted or running USD export in a folder, and their descriptions."""
+    """Return files of an interrupted or running USD export in a folder, with their descriptions."""
     readable = "content of an interrupted USD scene: it can be opened; `palmfield usd` writes the complete scene"
     broken = "part of an interrupted USD scene: remove it if no program writes there"
     hidden = [path for kind in ("tmp.usdc", "copy.usdc", "whole.usd[az]") for path in folder.glob(f".*.{kind}")]
@@ -33,12 +33,15 @@ def unfinished_scenes(folder: Path) -> list[tuple[Path, str]]:
 class StageFile:
     """A growing crate file that gets its final name at the end.
 
-    USD saves into the file that it reads from. A kill during saving made it unreadable in one of twenty cases of a
-    test, so saved data are copied, and the copy replaces the one before in one step.
+    USD saves into the file that it reads from. In a test, one of twenty kills during saving made this file unreadable.
+    So saved data are copied, and the copy replaces the previous copy in one step.
     """
 
     def __init__(self, path: Path):
-        """Raises OutputError for a suffix that is not in SUFFIXES and for a folder that cannot be written."""
+        """Open a new file.
+
+        Raises OutputError for a suffix that is not in SUFFIXES, and for a folder that cannot be written.
+        """
         self.path = path
         if path.suffix not in SUFFIXES:
             raise OutputError(f"cannot write {path}: give a file name that ends in {', '.join(SUFFIXES)}")
@@ -101,7 +104,7 @@ class StageFile:
 
 
 def unwritable_scene(path: Path, error: Exception) -> OutputError:
-    """Return an error with the cause in one line, taken from the long message of USD (function and cause in quotes)."""
+    """Return an error with its cause in one line, taken from the longer USD message (function and cause in quotes)."""
     if isinstance(error, OSError):
         cause = reason_of(error)
     else:

@@ -13,9 +13,9 @@ from palmfield.errors import OutputError
 def validate_usd(path: Path) -> list[str]:
     """Return errors of a USD file: from the validators of USD and additional checks; [] if valid.
 
-    Every mesh must have a valid topology with indices in range. Every primvar of meshes, points and instancers must
-    have the number of values of its interpolation, at each time sample, and indices within its values. Contents of
-    variants are checked in each of them. Raises OutputError if the file cannot be opened.
+    Every mesh must have a valid topology, with all indices in range. Every primvar of meshes, points and instancers
+    must have, at each time sample, the number of values that its interpolation requires, and indices within its values.
+    Each variant is checked. Raises OutputError if the file cannot be opened.
     """
     try:
         stage = Usd.Stage.Open(str(path))
@@ -37,7 +37,7 @@ def validate_usd(path: Path) -> list[str]:
 
 
 def _variants(stage: Usd.Stage) -> list[Callable[[], None]]:
-    """Return functions that select, without changing the file, the first variant of all sets, the second, and so on."""
+    """Return functions that select the first variant of all sets, the second, and so on. The file does not change."""
     sets = [
         (prim.GetPath(), name, prim.GetVariantSets().GetVariantSet(name).GetVariantNames())
         for prim in stage.TraverseAll()

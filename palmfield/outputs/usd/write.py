@@ -35,7 +35,7 @@ from palmfield.types import Float
 
 FPS = 30.0
 FIELD_LEGEND_SHARE = 0.17
-"""Fraction of the picture width for the legend of the field, if skins are coloured too."""
+"""Fraction of the picture width that the field legend uses, if skins are coloured too."""
 DISPLAYED_M = 2e-3
 """Displayed size of the largest motion at the default magnification [m]."""
 POINTS_BYTES = 8_000_000
@@ -47,14 +47,19 @@ class _Writer(Protocol):
 
 
 class _Ranges(NamedTuple):
-    """Ranges of quantities. own: range by skin and quantity; courses: level over time by skin; missing: reasons"""
+    """Ranges of quantities.
+
+    own: range by skin and quantity
+    courses: level over time by skin
+    missing: reasons why quantities are missing
+    """
 
     own: dict[str, dict[str, tuple[float, float]]]
     courses: dict[str, LevelCourse]
     missing: list[str]
 
     def whole(self, name: str) -> tuple[float, float] | None:
-        """Return lowest and highest value of a quantity on any skin; None if no skin has it."""
+        """Return the lowest and highest value of a quantity over all skins; None if no skin has it."""
         found = [ranges[name] for ranges in self.own.values() if name in ranges]
         return (min(low for low, _ in found), max(high for _, high in found)) if found else None
 
@@ -68,12 +73,13 @@ def write_usd(
 ) -> None:
     """Write a result as a USD scene: .usdc (crate), .usda (text) or .usdz (package), by the suffix.
 
-    result: as returned by `open_result` or `tree`; shown: contents, see `Shown`; fps: frames per second for players,
-    independent of
-        the time step of the run [1/s]; on_frame: called with the numbers of completed and of all time codes
-    Metres, kilograms, z up. Time code / timeCodesPerSecond is the time of the run in seconds. docs/usd.md lists
-    prims and primvars. Every 200 frames the scene is saved and copied to NAME.partial.usdc, which remains after a
-    kill, and is removed when the scene is complete.
+    result: as returned by `open_result` or `tree`
+    shown: contents, see `Shown`
+    fps: frames per second for players [1/s], independent of the time step of the run
+    on_frame: function that is called with the number of completed time codes and the number of all time codes
+    Units are metres and kilograms, and z points up. Time code / timeCodesPerSecond is the time of the run in seconds.
+    docs/usd.md lists prims and primvars. Every 200 frames the scene is saved and copied to NAME.partial.usdc, which
+    remains after a kill, and is removed when the scene is complete.
     Raises OutputError if `path` cannot be written or has an unknown suffix, for invalid numbers, and for a colour or a
     field that the result does not contain.
     """
@@ -197,9 +203,9 @@ def _ranges(result: xr.DataTree, shown: Shown, clock: Clock) -> _Ranges:
 
 
 def _palette(shown: Shown, ranges: _Ranges) -> Palette | None:
-    """Return the palette of the requested colour; None without one, and for a run without times.
+    """Return the palette of the requested colour. Returns None if no colour is requested, and for a run without times.
 
-    Raises OutputError if skins do not have the quantity; if it is the default colour, no colours are written instead.
+    Raises OutputError if no skin has the quantity. If the quantity is the default one, it only omits the colours.
     """
     whole = None if shown.colour == NO_COLOUR else ranges.whole(shown.colour)
     if whole is None:
@@ -235,7 +241,7 @@ def _add_quantities(
 
 
 def _magnification(shown: Shown, clock: Clock, ranges: _Ranges, skin: xr.Dataset) -> float:
-    """Return the magnification of the motion of a skin, equal for all skins; 0 for none."""
+    """Return the magnification of the motion of a skin, equal for all skins; 0 for no magnified points."""
     if shown.magnify is not None:
         return shown.magnify if has_records(skin, "displacement") and len(clock.codes) else 0.0
     whole = ranges.whole("normal_displacement")

@@ -1,4 +1,4 @@
-"""Speed against error, drawn."""
+"""Draw speed against error."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from palmfield.studies.bench.table import FieldRow
 
 MARKERS = "os^"
 PANEL_POINTS = 300.0
-"""Height of the axes of a panel in typographic points, approximately; labels are at least LABEL_POINTS apart."""
+"""Approximate height of the axes of a panel in typographic points. Labels are at least LABEL_POINTS apart."""
 LABEL_POINTS = 10.0
 
 
@@ -21,7 +21,10 @@ def draw(rows: list[FieldRow], models: dict[str, str], path: Path) -> None:
 
 
 def speed_figure(rows: list[FieldRow], models: dict[str, str]) -> Figure:
-    """Draw a panel with logarithmic axes for each range, for up to three models; labels name the methods."""
+    """Draw a panel with logarithmic axes for each range of distances, for up to three models.
+
+    Labels name the methods.
+    """
     measured = [row for row in rows if not row.missing]
     looks = dict(zip(models, zip(COLOURS, MARKERS, strict=True), strict=False))
     ranges = list(dict.fromkeys(row.range for row in rows))
@@ -47,12 +50,15 @@ def speed_figure(rows: list[FieldRow], models: dict[str, str]) -> Figure:
 
 
 def speed(row: FieldRow) -> float:
-    """Return pairs per core-second, which does not depend on other load; on a GPU per second of wall time."""
+    """Return the speed in pairs per core-second, which is independent of other load; on a GPU per wall second."""
     return row.pairs_per_s if row.pairs_per_core_s is None else row.pairs_per_core_s
 
 
 def label(axis: Any, rows: list[FieldRow]) -> None:
-    """Label the points towards the middle of the panel, moved up or down so that no label covers another."""
+    """Label the points, on the side of the middle of the panel.
+
+    Labels are moved up or down so that they do not overlap.
+    """
     low, high = np.log(axis.get_ylim())
     middle = np.sqrt(np.prod(axis.get_xlim()))
     last = {True: -np.inf, False: -np.inf}

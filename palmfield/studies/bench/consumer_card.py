@@ -1,8 +1,8 @@
-"""Predict the time of a step on a consumer GPU of 12 GB from bytes and operations; this is not a measurement.
+"""Predict the time of a step on a consumer GPU of 12 GB from numbers of bytes and operations. This is no measurement.
 
-A MuJoCo step is one launch: field and ARP at the skins' points and at the force samples, then all substeps. The model
-overlaps no stages, and keeps only constants from one step to the next. Shadows, boundary elements, and the work of
-MuJoCo and Python on the host are not included.
+A MuJoCo step is one launch: field and ARP at the points of the skins and at the force samples, then all substeps. In
+the model, stages do not overlap, and only constants are kept from one step to the next. Shadows, boundary elements, and
+the work of MuJoCo and Python on the host are not included.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from palmfield.simulation.posed_scene import reference_scene
 
 @dataclass(frozen=True)
 class Card:
-    """Peak figures of a GPU from its data sheet.
+    """Peak performance of a GPU, from its data sheet.
 
     instructions_per_s: single-precision instructions per second of all lanes
     double: double-precision throughput relative to single precision
@@ -30,18 +30,18 @@ CARD = Card("GeForce RTX 3060, 12 GB", 3584 * 1.777e9, 1.0 / 64.0, 360e9)
 PAIR = 44.75
 """Instructions for pressure and gradient of one transducer at one point, see docs/bench/gpu.md."""
 SHARE = 0.75
-"""Fraction of the peak instruction rate and bandwidth that is reached, as measured for the field kernel on an H200."""
+"""Reached fraction of the peak instruction rate and bandwidth. Measured for the field kernel on an H200."""
 KERNELS, KERNEL_s = 20, 2e-6
-"""Number of kernels of a step other than those of the skins; time to begin and end one in a captured graph [s]."""
+"""Number of kernels of a step without those of the skins; time to begin and end one kernel in a captured graph [s]."""
 SKIN_KERNELS = 6
 BEGIN_s = 25e-6
-"""Time to pass a pose, launch a captured graph, wait for it and fetch forces and sensors [s]."""
+"""Time to pass a pose, launch a captured graph, wait for it, and fetch forces and sensors [s]."""
 SINGLE_BYTES, DOUBLE_BYTES = 4, 8
 
 
 @dataclass(frozen=True)
 class Work:
-    """Cost of one stage of a MuJoCo step: operations of single and double precision, bytes read, kernels."""
+    """Cost of one stage of a MuJoCo step: operations in single and double precision, bytes read, and kernels."""
 
     single: float = 0.0
     double: float = 0.0

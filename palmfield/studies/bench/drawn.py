@@ -1,4 +1,4 @@
-"""Draw random stimuli and poses after the model of a scene is built, for which its steppers are not prepared."""
+"""Draw random stimuli and poses after the model of a scene is built, so that its steppers are not prepared for them."""
 
 from dataclasses import replace
 from typing import Any
@@ -21,7 +21,7 @@ SIZES, SPEEDS = (0.8, 1.0), (0.8, 1.2)
 
 
 def draw_again(sim: Simulation, seed: int) -> None:
-    """Draw other paths, levels and array places for a simulation that keeps its steppers; reset it.
+    """Draw other paths, levels and array places for a simulation, and reset it. The steppers are kept.
 
     seed: seed of the random numbers; equal seeds give equal draws for scenes that differ only in their skins
     Moving the arrays changes their pose relative to bodies, obstacles and scripted motion.
@@ -60,8 +60,10 @@ def drawn_stimulus(config: StimulusConfig, rng: np.random.Generator) -> Stimulus
 
 
 def move_arrays(model: mujoco.MjModel, sites: tuple[int, ...], rng: np.random.Generator) -> None:
-    """Move and rotate all bodies that carry arrays by the same amount, or the arrays' sites if they lie in the
-    world."""
+    """Move and rotate all bodies that carry arrays by the same amount.
+
+    If the arrays are in the world, move their sites.
+    """
     offset = rng.uniform(-ASIDE_m, ASIDE_m, 3)
     turn = rng.uniform(-TILT_rad, TILT_rad, 3)
     angle = float(np.linalg.norm(turn))

@@ -1,4 +1,4 @@
-"""`palmfield bench field`: speed and error of palmfield's field; a caller may compare other programs with it."""
+"""`palmfield bench field`: speed and error of palmfield's field. A caller may add other programs to compare."""
 
 import functools
 import os
@@ -31,13 +31,13 @@ from palmfield.terminal import bars
 from palmfield.types import Air, Complex
 
 AIR = Air(temperature_C=273.15 * ((340.0 / 331.3) ** 2 - 1.0))
-"""Air whose sound speed is 340 m/s, which every program can represent."""
+"""Air with a sound speed of 340 m/s, which every program can represent."""
 MODELS = {
     "piston": "piston, with absorption",
     "piston, lossless": "piston, without absorption",
     "sphere": "point source, without absorption",
 }
-"""Radiation model of one transducer, by `Method.model`. Errors are against float64 of the same model."""
+"""Radiation model of one transducer, by `Method.model`. Errors are relative to float64 of the same model."""
 LAYOUT = "autd3_2x2"
 RANGES_M = ((0.05, 0.4), (0.4, 1.2))
 """Distances from the plane of the array."""
@@ -46,7 +46,7 @@ WIDTH_M = 0.2
 FOCUS_M = (0.02, 0.01, 0.2)
 POINTS, RUNS = 20_000, 5
 CHECKED = 20_000
-"""Largest number of points compared with float64, evenly spaced among all."""
+"""Largest number of points that are compared with float64. They are evenly spaced among all points."""
 OWN = "palmfield.studies.bench.own"
 COMMAND = "palmfield bench field"
 
@@ -67,12 +67,12 @@ def main(
     out: markdown file to write [default: none]; picture: PNG [default: none]
     device: where palmfield's own methods run: cpu or cuda:N
     points: approximate number of points in a range
-    runs: number of runs of each method, in turns with the others; medians are reported
+    runs: number of runs of each method; the methods take turns, and medians are reported
     only: run only methods whose names contain this text
     commit: commit to print in the report if git is not available [default: that of git]
     peers: other programs to measure too [default: none]
     Raises PalmfieldError for invalid options and for a method that fails. Raises OutputError for a file that cannot be
-    written: before any measurement if possible, else after the report is printed.
+    written. If possible, this is raised before any measurement, and otherwise after the report is printed.
     """
     if not 1 <= runs <= MOST_RUNS:
         raise PalmfieldError(f"--runs has value {runs}; allowed: 1 to {MOST_RUNS}")
@@ -134,7 +134,7 @@ def main(
 def written(report: str, out: Path | None, draw: Callable[[], None] | None = None) -> str:
     """Write a report and draw its picture, if requested; return the report.
 
-    Raises OutputError if that fails, after printing the report: minutes of measurements must not be lost.
+    Raises OutputError if that fails. The report is printed first, so that minutes of measurements are not lost.
     """
     try:
         if out is not None:
@@ -148,7 +148,7 @@ def written(report: str, out: Path | None, draw: Callable[[], None] | None = Non
 
 
 def check_writable(files: Mapping[str, Path | None]) -> None:
-    """Create the folders of files, by option. Raises OutputError for a file that cannot be written."""
+    """Create the folders of files. files: option -> file. Raises OutputError for a file that cannot be written."""
     for option, path in files.items():
         if path is None:
             continue
@@ -175,7 +175,7 @@ def run_range(
     folder: Path,
     tick: Callable[[str], None],
 ) -> list[tuple[float, float]]:
-    """Fill `measured` at points between two distances; return the result of `measure`."""
+    """Fill `measured` for points between two distances. Returns the result of `measure`."""
     files = {model: folder / f"{i}.npz" for i, model in enumerate(MODELS)}
     for model, path in files.items():
         problem_of(model, low_m, high_m, points, device).save(path)
@@ -225,7 +225,7 @@ def problem_of(model: str, low_m: float, high_m: float, points: int, device: str
 
 
 def grid(low_m: float, high_m: float, points: int) -> tuple[Any, Any, float]:
-    """Return first point, counts and spacing [m] (a multiple of 1/64 mm) of a grid of about `points` points."""
+    """Return a grid of about `points` points: first point, counts and spacing [m], a multiple of 1/64 mm."""
     pitch_mm = 1e3 * (WIDTH_M**2 * (high_m - low_m) / points) ** (1.0 / 3.0)
     resolution_m = max(round(64.0 * pitch_mm), 1) / 64e3
     steps = np.floor(np.array([WIDTH_M, WIDTH_M, high_m - low_m]) / resolution_m).astype(int) + 1
@@ -234,7 +234,7 @@ def grid(low_m: float, high_m: float, points: int) -> tuple[Any, Any, float]:
 
 
 def row(one: Measured, text: str, problem: Problem) -> FieldRow:
-    """Return speed and error of a method, or a row that names the missing program."""
+    """Return a row with speed and error of a method. If its program is missing, the row names it."""
     result = FieldRow(one.method.name, one.method.model, text, missing=one.missing)
     if one.missing:
         return result

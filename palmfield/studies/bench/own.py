@@ -1,4 +1,4 @@
-"""palmfield's own methods to compute a field, for the benchmark. Each method is one line of METHODS."""
+"""palmfield's own methods to compute a field, for the benchmark. Each line of METHODS is one method."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +14,7 @@ State = tuple[FieldEvaluator, Float32, Complex]
 
 
 def evaluator(**options: Any) -> Callable[[Problem], State]:
-    """Return a `prepare` that makes a FieldEvaluator with these options."""
+    """Return a `prepare` function that makes a FieldEvaluator with these options."""
 
     def prepare(problem: Problem) -> State:
         air = Air(temperature_C=problem.temperature_C)
@@ -37,7 +37,7 @@ def pressure_gradient(state: State) -> NDArray[np.complex64]:
 
 
 ALL_CORES = "palmfield, all cores"
-"""Name of the method that is not run on a GPU."""
+"""Name of the method that does not run on a GPU."""
 METHODS = [
     Method("palmfield", "piston", evaluator(threads=1), pressure),
     Method(ALL_CORES, "piston", evaluator(), pressure),

@@ -1,4 +1,4 @@
-"""Problem of a field benchmark, as a file that programs of other environments can read. Imports NumPy only."""
+"""Problem of a field benchmark, as a file that programs of other environments can read. It imports only NumPy."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 from palmfield.types import Array, Complex, Float, Float32
 
 MOST_RUNS = 63
-"""Largest number of runs: programs that prepare a signal in advance need its length."""
+"""Largest number of runs. Programs that prepare a signal in advance need its length."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Transducers, drive and a regular grid of points, with all numbers that a program needs to sum the field.
+    """Transducers, drive and a regular grid of points, with all numbers that a program needs to compute the field.
 
-    low_m, steps, resolution_m: first point of the grid, number of points along x, y, z, and their distance [m]
+    low_m: first point of the grid [m]
+    steps: number of points along x, y, z
+    resolution_m: distance of neighbouring points [m]
     positions, normals: positions and axes of the transducers [m], shape (t, 3), float64; in groups of 249, for
     programs that accept
         only whole AUTD3 units
@@ -50,7 +52,7 @@ class Problem:
 
     @property
     def wavenumber(self) -> float:
-        """[rad/m]"""
+        """Wavenumber of the sound in air [rad/m]."""
         return 2.0 * np.pi * self.frequency_Hz / self.sound_speed_m_s
 
     def array(self) -> Array:

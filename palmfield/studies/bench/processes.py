@@ -1,4 +1,4 @@
-"""Run methods in separate processes, in turns, so that other load of the machine affects all of them equally."""
+"""Run methods in separate processes. The methods take turns, so that other load of the machine affects all equally."""
 
 import hashlib
 import json
@@ -30,7 +30,7 @@ ONE_THREAD = dict.fromkeys(
 
 @dataclass
 class Measured:
-    """Result of a method; `missing` names the distribution that is not installed; then no other field is set."""
+    """Result of a method. `missing` names a distribution that is not installed; no other field is then set."""
 
     method: Method
     module: str
@@ -67,9 +67,11 @@ class PeerMethods:
 
 
 class Process:
-    """A worker process that answers each line of input by a line of JSON. A context manager, which stops it at the end.
+    """A worker process that answers each line of input by a line of JSON.
 
-    python, folders: interpreter, and folders on its path: palmfield's and that of the method's module
+    As a context manager it is stopped at the end.
+
+    python, folders: interpreter, and folders on its path: that of palmfield and that of the method's module
     words: file that receives its standard error
     """
 
@@ -97,7 +99,10 @@ class Process:
         self.child.communicate()
 
     def request(self, order: str) -> dict[str, Any]:
-        """Return the answer to one line. Raises PalmfieldError with the last lines of a worker that has ended."""
+        """Send one line, and return the answer.
+
+        Raises PalmfieldError with the last lines of a worker that has ended.
+        """
         assert self.child.stdin is not None and self.child.stdout is not None
         try:
             self.child.stdin.write(order + "\n")
@@ -116,7 +121,7 @@ class Process:
 
 
 def yardstick() -> float:
-    """Return the time of a float64 product of two 1000 x 1000 matrices on one thread [s], a measure of the speed."""
+    """Return the time of a float64 product of two 1000 x 1000 matrices on one thread [s], as a measure of speed."""
     matrix = np.random.default_rng(0).normal(size=(SIZE, SIZE))
     start = time.perf_counter()
     matrix @ matrix
@@ -124,7 +129,7 @@ def yardstick() -> float:
 
 
 def cores() -> float:
-    """Return the throughput of one thread per core relative to one thread, for hashing (releases Python's lock)."""
+    """Return the throughput of hashing with one thread per core, relative to one thread. Hashing releases the GIL."""
     data = bytes(20_000_000)
     count = os.cpu_count() or 1
 
@@ -146,12 +151,12 @@ def measure(
     folder: Path,
     tick: Callable[[str], None],
 ) -> list[tuple[float, float]]:
-    """Prepare and run every method `runs` times in turns, and fill `methods`; return `yardstick` and `cores` by turn.
+    """Prepare every method and run it `runs` times, in turns. Fill `methods`; return `yardstick` and `cores` by turn.
 
-    problems: file of the Problem by model
-    places: interpreter and folders on its path by module of the method
+    problems: model -> file of the Problem
+    places: module of a method -> interpreter and folders on its path
     folder: folder for files with results
-    tick: called after each step with the name of the method; runs + 1 steps a method
+    tick: function that is called after each step with the name of the method; a method has runs + 1 steps
     """
     processes: list[tuple[Measured, Process]] = []
     references = []

@@ -1,4 +1,4 @@
-"""Speed against error from a report that `palmfield bench skin` or `palmfield bench field` wrote."""
+"""Draw speed against error from a report of `palmfield bench skin` or `palmfield bench field`."""
 
 from collections.abc import Iterator
 from pathlib import Path

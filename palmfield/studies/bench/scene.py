@@ -1,4 +1,4 @@
-"""Speed and error of whole scenes: wall milliseconds per simulated millisecond in plain mj_step, as a table."""
+"""Speed and error of whole scenes, as a table: wall milliseconds per simulated millisecond in plain mj_step."""
 
 import json
 import os
@@ -23,8 +23,11 @@ STEPS, MOST_STEPS = 2000, 1_000_000
 
 
 class Goal(NamedTuple):
-    """Target for wall ms per simulated ms: median on two CPU cores (99th percentile at most twice that), median and
-    99th percentile on an H200."""
+    """Target for wall ms per simulated ms of a scene.
+
+    It has the median on two CPU cores (the 99th percentile may be twice that), and median and 99th percentile on an
+    H200.
+    """
 
     cores: float
     gpu: float
@@ -36,7 +39,7 @@ GOALS = {
     **dict.fromkeys(("approach_withdraw", "follow_fingertip", "stroke_palm"), Goal(4.0, 0.5, 1.0)),
     **dict.fromkeys(("two_hands", "two_hands_both_feel", "trace_shape", "hover_explore"), Goal(8.0, 0.5, 1.0)),
 }
-"""Targets of the shipped scenes, which are measured by default."""
+"""Targets of the shipped scenes. These scenes are measured by default."""
 
 
 def main(
@@ -53,12 +56,12 @@ def main(
 
     scenes: files, or names of shipped scenes [default: those with a goal]; out: markdown file [default: none]
     device: where the scene is computed; steps: least number of steps with sound for each scene
-    known: measure unchanged scenes, with a reduced model where the load is predicted; else path, level and pose are
-        drawn after the model is built, and the skins are computed by modes for every load
-    error: also compare the measured run with the whole layer; seed: seed of the random draws
+    known: whether scenes are unchanged; skins then use a reduced model where the load is predicted. Otherwise path,
+        level and pose are drawn at random after the model is built, and skins use modes for every load
+    error: whether to compare the measured run with the whole layer; seed: seed of the random draws
     commit: commit to print in the report if git is not available [default: that of git]
-    Raises PalmfieldError for invalid options. Raises OutputError for a file that cannot be written: before any
-    measurement if possible, else after the report is printed.
+    Raises PalmfieldError for invalid options. Raises OutputError for a file that cannot be written. If possible, this
+    is raised before any measurement, and otherwise after the report is printed.
     """
     if not 1 <= steps <= MOST_STEPS:
         raise PalmfieldError(f"--steps has value {steps}; allowed: 1 to {MOST_STEPS}")
@@ -95,7 +98,7 @@ def main(
 
 
 def scene_file(name: str) -> Path:
-    """Return the file of a scene, from a path or the name of a shipped one. Raises PalmfieldError for a missing one."""
+    """Return the file of a scene. name: path, or name of a shipped scene. Raises PalmfieldError for a missing scene."""
     shipped = folder("mjcf") / "scenes"
     for path in (Path(name), shipped / f"{name}.xml"):
         if path.is_file():
@@ -123,7 +126,7 @@ def run_job(job: Job, cache: Path) -> dict[str, Any]:
 
 
 def as_markdown(results: list[tuple[str, dict[str, Any]]], command: str, job: Job, load: float, commit: str) -> str:
-    """Return the tables with results, machine and method. load: load average of the machine before the first run"""
+    """Return the tables, with results, machine and method. load: load average of the machine before the first run"""
     lines = [
         "# Scenes in real time",
         "",
@@ -170,7 +173,7 @@ def as_markdown(results: list[tuple[str, dict[str, Any]]], command: str, job: Jo
 
 
 def about(job: Job) -> str:
-    """Describe the runs in a sentence."""
+    """Describe the runs of a job in one sentence."""
     if not job.drawn:
         return "Scenes are unchanged, and their loads are predicted before the run."
     return (

@@ -34,7 +34,7 @@ Task = Literal["prepare", "measure", "reference"]
 Solver = Literal["auto", "modal"]
 SKIN = SkinConfig.plugin
 FINER = (5.0, 2.0)
-"""Ratios of the scene's accuracy to that of the reference; the first one within MOST_UNKNOWNS is used."""
+"""Ratios between the accuracy of the scene and that of the reference. The first within MOST_UNKNOWNS is used."""
 MOST_UNKNOWNS = 40_000
 """Largest number of unknowns of a reference; a larger model takes hours."""
 
@@ -44,8 +44,10 @@ class Job:
     """Task of a process.
 
     task: "prepare" makes the first step only; "measure" steps whole runs; "reference" runs the full wedge model once
-    solver: solver requested for all skins; drawn: whether path, level and pose are drawn after the model is built
-    seed: seed of the random draws; steps: least number of steps with sound to measure
+    solver: solver requested for all skins
+    drawn: whether path, level and pose are drawn at random after the model is built
+    seed: seed of the random draws
+    steps: smallest number of steps with sound to measure
     motion: file of the motion of the run, written by "measure" and read by "reference"; "" for none
     """
 
@@ -60,7 +62,10 @@ class Job:
 
 
 class Yardstick:
-    """Time of a product of two 600 x 600 matrices and a pass over 64 MB, which use processor and memory like a step."""
+    """Time of a product of two 600 x 600 matrices and a pass over 64 MB.
+
+    They load processor and memory as a step does.
+    """
 
     def __init__(self) -> None:
         generator = np.random.default_rng(0)
@@ -91,7 +96,7 @@ def answer(job: Job) -> dict[str, Any]:
 
 
 def opened(job: Job) -> tuple[Simulation, str]:
-    """Return the scene with steppers for the drawn load, and why they differ from the requested ones, else ""."""
+    """Return the scene with steppers for the drawn load, and why they differ from the requested steppers, or ""."""
     try:
         sim = Simulation(Path(job.scene), device=job.device, keys={f"{SKIN}.solver": job.solver})
         replaced = job.drawn and not all(lazy.value.any_pose for lazy in sim.runtime.model.begin)
@@ -106,7 +111,7 @@ def opened(job: Job) -> tuple[Simulation, str]:
 
 
 def sounding(model: HapticModel, count: int) -> list[bool]:
-    """Return for each of the first steps whether a stimulus sounds in it or in the step before."""
+    """Return, for each of the first steps, whether a stimulus is active in this step or in the step before."""
     step_s = model.spec.timestep_s
     ends = np.arange(count * model.substeps + 1, dtype=np.float64) * (step_s / model.substeps)
     loud = np.zeros(len(ends), dtype=bool)
@@ -118,7 +123,10 @@ def sounding(model: HapticModel, count: int) -> list[bool]:
 
 
 def measured(job: Job, sim: Simulation) -> dict[str, Any]:
-    """Return the wall time of each step with sound, over whole runs from reset; SceneError for a silent scene."""
+    """Return the wall time of each step with sound, over whole runs from reset.
+
+    Raises SceneError for a silent scene.
+    """
     if job.drawn:
         draw_again(sim, job.seed)
         # The first step with a new sound allocates buffers
@@ -171,7 +179,7 @@ def measured(job: Job, sim: Simulation) -> dict[str, Any]:
 def stated(sim: Simulation) -> tuple[float, float | None] | None:
     """Return the errors of displacement and velocity that modal and reduced models report, for the worst skin.
 
-    A reduced model reports no error of the velocity; the full wedge model reports none.
+    A reduced model reports no error of the velocity. The full wedge model reports no error.
     """
     errors: list[tuple[float, float | None]] = []
     for lazy, outside in zip(sim.runtime.model.begin, sim.runtime.work.outside, strict=True):
@@ -191,7 +199,7 @@ def node_areas(nodes: Float, faces: Any) -> Float:
 def motion(sim: Simulation, points: list[Float], count: int) -> dict[str, Float]:
     """Return normal displacement [m] and velocity [m/s] of each skin after each step from reset, (count, 2, n).
 
-    points: where each skin is read, at rest, body frame [m], shape (n, 3)
+    points: points at which each skin is read, at rest, body frame [m], shape (n, 3)
     """
     runtime = sim.runtime
     operators = [
@@ -212,7 +220,10 @@ def motion(sim: Simulation, points: list[Float], count: int) -> dict[str, Float]
 
 
 def compared(job: Job) -> dict[str, Any]:
-    """Return relative errors of displacement and velocity against the full wedge model, L2 over surfaces and times."""
+    """Return the relative errors of displacement and velocity against the full wedge model.
+
+    The norm is L2 over surfaces and times.
+    """
     sim, text = reference(job)
     if job.drawn:
         draw_again(sim, job.seed)
@@ -228,7 +239,7 @@ def compared(job: Job) -> dict[str, Any]:
 
 
 def relative_errors(motions: list[Float], expected: list[Float], areas: list[Float]) -> tuple[float, float]:
-    """Return L2 errors of displacement and velocity over times and surfaces; motions (t, 2, n), areas (n,)."""
+    """Return the L2 errors of displacement and velocity over times and surfaces. motions: (t, 2, n); areas: (n,)"""
     squares = np.zeros((2, 2))
     for mine, theirs, area in zip(motions, expected, areas, strict=True):
         for row, values in enumerate((mine - theirs, theirs)):
@@ -238,7 +249,7 @@ def relative_errors(motions: list[Float], expected: list[Float], areas: list[Flo
 
 
 def reference(job: Job) -> tuple[Simulation, str]:
-    """Return the full wedge model at the strictest accuracy within MOST_UNKNOWNS, and its description."""
+    """Return the full wedge model at the highest accuracy within MOST_UNKNOWNS, and its description."""
     path = Path(job.scene)
     scene = Simulation(path, device="cpu")
     skins = scene.runtime.model.skins

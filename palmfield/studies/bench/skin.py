@@ -1,4 +1,4 @@
-"""Compare skin solvers on one slab and load at several accuracies; a caller may add solutions of other programs."""
+"""Compare skin solvers on one slab and one load at several accuracies. A caller may add solutions of other programs."""
 
 import os
 import statistics
@@ -42,12 +42,13 @@ RADIUS_M = 0.06
 
 @dataclass(frozen=True)
 class SkinRow:
-    """One solution. missing: reason if there is none
+    """One solution of the skin benchmark.
 
-    static, moving: relative errors of the displacement of the centre, under a static load, and of its complex
-    amplitude at
+    missing: reason if there is no solution
+    static, moving: relative errors of the displacement of the centre: under a static load, and its complex amplitude at
         F_Hz
-    stated: error estimate of the solver; size: its resolution in words
+    stated: error that the solver estimates
+    size: resolution of the solver in words
     """
 
     name: str
@@ -77,7 +78,10 @@ class PeerSolutions:
 
 
 def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> SkinRow:
-    """Solve amplitude modulation from rest: mean and amplitude over the last LAST_s are half of the exact values."""
+    """Solve amplitude modulation from rest.
+
+    Mean and amplitude are taken over the last LAST_s; they are half of the exact values.
+    """
     sheets, grid = (Sheet(case.material, case.depth_m),), np.arange(0.0, END_s + 1e-9, 5e-5)
     load = Spot(case.fwhm_m, grid, 0.5 * (1.0 + np.sin(2.0 * np.pi * F_Hz * grid)))
     endless, disc = Slab(sheets), Slab(sheets, "disc", side="free", radius_m=RADIUS_M)
@@ -192,7 +196,7 @@ def draw(rows: list[SkinRow], path: Path) -> None:
 
 
 def speed_figure(rows: list[SkinRow]) -> Figure:
-    """Draw seconds against the larger of both errors, a line for each method."""
+    """Draw time [s] against the larger of both errors, one line for each method."""
     with style():
         figure = Figure(figsize=(7.5, 5.0), layout="constrained")
         axis = figure.subplots()

@@ -1,4 +1,4 @@
-"""The test case for skin solvers of palmfield and other programs, and its exact solution."""
+"""Test case for skin solvers of palmfield and of other programs, with its exact solution."""
 
 from dataclasses import dataclass
 
@@ -11,9 +11,10 @@ F_Hz = 200.0
 
 @dataclass(frozen=True)
 class Case:
-    """An infinite bonded slab under a round Gaussian spot; each program may choose the width that it models.
+    """An infinite bonded slab under a round Gaussian spot. Each program chooses the width that it models.
 
-    depth_m, fwhm_m: thickness of the slab and width of the spot [m]
+    depth_m: thickness of the slab [m]
+    fwhm_m: width of the spot [m]
     """
 
     material: Material

@@ -1,4 +1,4 @@
-"""Results of the field benchmark as markdown; write the rows of a page as a file."""
+"""Format the results of the field benchmark as markdown, and write the rows of a page to a file."""
 
 import csv
 import os
@@ -9,12 +9,14 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class FieldRow:
-    """One method in one range; with `missing` set there are no measurements. Seconds are medians.
+    """One method in one range of distances. If `missing` is set, there are no measurements. Seconds are medians.
 
-    model: a key of MODELS; range: range in words
-    setup_s: time that is not repeated for another drive; clock_s: clock time of one run
-    pairs_per_core_s: per second of core time, or None on a GPU
-    error, gradient_error: relative L2 difference to float64 of the same model; of magnitudes if `magnitude` is set
+    model: a key of MODELS
+    range: range in words
+    setup_s: time of work that need not be repeated for another drive
+    clock_s: wall time of one run
+    pairs_per_core_s: pairs per second of core time, or None on a GPU
+    error, gradient_error: relative L2 difference from float64 of the same model; of magnitudes if `magnitude` is set
     memory_MiB: peak memory minus that for a few points
     """
 
@@ -72,9 +74,9 @@ def keep_rows(page: Path, table: list[str], name: str = "") -> str:
 
 
 def ranged(rows: list[str], by: tuple[int, ...], of: tuple[int, ...]) -> list[str]:
-    """Return one row for all rows of markdown with equal cells in the columns `by`, with the ranges of columns `of`.
+    """Return one row for all markdown rows with equal cells in the columns `by`. It has ranges in the columns `of`.
 
-    of: columns of numbers, with a unit after a space or without
+    of: columns of numbers, with or without a unit after a space
     """
 
     def number(cell: str) -> float:

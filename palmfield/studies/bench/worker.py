@@ -1,8 +1,8 @@
 """Run one method in a separate process, by commands: `python -m palmfield.studies.bench.worker MODULE NAME FILE`.
 
-It answers each line of standard input by one line of JSON on standard output:
-`prepare` (with versions, seconds and memory), `run` (seconds on the clock and of the cores), `save PATH` (the last
-result as .npy, and the peak memory).
+It answers each line of standard input by one line of JSON on standard output. The commands are `prepare` (returns
+versions, seconds and memory), `run` (returns wall time and core time [s]) and `save PATH` (writes the last result as
+.npy; returns the peak memory).
 """
 
 import contextlib
@@ -22,8 +22,9 @@ from palmfield.studies.bench.problem import Method, load
 
 
 def memory_MiB(name: str) -> float:
-    """Return VmRSS (now) or VmHWM (peak). getrusage would include the peak of the parent, which survives vfork and
-    exec.
+    """Return VmRSS (present memory) or VmHWM (peak memory) of this process.
+
+    getrusage would include the peak of the parent, because it survives vfork and exec.
     """
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(name + ":"):
@@ -38,7 +39,7 @@ def version(method: Method) -> str:
 class Worker:
     """One method, with its state between commands.
 
-    Before the measurement the method computes a few points, so that imports and compilation do not count.
+    Before the measurement the method computes a few points, so that imports and compilation are not measured.
     """
 
     def __init__(self, module: str, name: str, problem: Path) -> None:

@@ -1,4 +1,4 @@
-"""Judge a data sheet of the force-law kit: the force on a small plate in a focus, divided by the usual formula.
+"""Evaluate a data sheet of the force-law kit: the force on a small plate in a focus, divided by the usual formula.
 
 `docs/gallery/force_law.md` has the protocol. The formula is 2 p_rms^2 / (rho c^2), integrated over the plate.
 """
@@ -19,24 +19,27 @@ from palmfield.types import Air
 
 NAME = "force-law"
 EXPECTED = {"1": ("autd2018_2x2, 100 mm", 0.57), "2": ("autd2018_2x2, 200 mm", 0.80), "3": ("uhev1, 200 mm", 0.945)}
-"""Array and depth by case, and the ratio by boundary elements for plates of 12 x 12 x 2 mm."""
+"""Array and depth of each case, and the force ratio by boundary elements for plates of 12 x 12 x 2 mm."""
 BAND = 0.03
 FORMULA = 1.0
 GRID_MM = (-5.0, -3.0, -1.0, 1.0, 3.0, 5.0)
-"""Places of the microphone along both axes, centres of cells of 2 mm that fill the plate."""
+"""Positions of the microphone along both axes. They are centres of 2 mm cells that cover the plate."""
 LEAST_SHIFTS = 4
-"""Least number of plate positions in half a wavelength along the axis, over which the echo averages out."""
+"""Smallest number of plate positions within half a wavelength along the axis. The echo is averaged over them."""
 COLUMNS = ("case", "kind", "x_mm", "y_mm", "z_mm", "value")
 KINDS = ("pressure_Pa", "scale_mg", "off_mg", "microphone_dB", "air_hPa", "air_C")
-"""Readings: rms pressure without the plate; scale with the sound, and without; uncertainty of the microphone; air."""
+"""Kinds of readings: rms pressure without the plate; scale with sound and without; microphone uncertainty; air."""
 STILL = {"air_C": 20.0, "air_hPa": 1013.25}
-"""Air if the sheet has none."""
+"""Air that is used if the sheet has none."""
 N_MG = 9.80665e-6
 
 
 @dataclass(frozen=True)
 class Judged:
-    """One ratio of the sheet. error: of the measurement; ours, formula: whether the ratio agrees with each."""
+    """One force ratio of the sheet.
+
+    error: of the measurement; ours, formula: whether the ratio agrees with each of the two
+    """
 
     what: str
     expected: float
@@ -55,9 +58,10 @@ class Judged:
 
 
 def force_law(sheet: str | Path) -> list[Judged]:
-    """Return the ratio of each case of a sheet, and that of cases 1 and 3, in which the microphone's gain cancels.
+    """Return the ratio of each case of a sheet, and the quotient of cases 1 and 3.
 
-    Raises MeasurementError, with line and column, for other columns and kinds, and for missing readings.
+    In this quotient the gain of the microphone cancels. Raises MeasurementError, with line and column, for other
+    columns and kinds, and for missing readings.
     """
     file = Path(sheet)
     found = _read(file)
@@ -80,7 +84,7 @@ def _judged(what: str, expected: float, band: float, ratio: float, error: float)
 
 
 def _read(file: Path) -> dict[str, dict[str, list[list[float]]]]:
-    """Return by case and kind the rows of x_mm, y_mm, z_mm, value."""
+    """Return, by case and kind, the rows of x_mm, y_mm, z_mm, value."""
     with reading(file, MeasurementError, "a CSV file in UTF-8"):
         rows = list(csv.reader(read_text(file, "utf-8-sig").splitlines()))
     if not rows or tuple(rows[0]) != COLUMNS:
@@ -95,7 +99,7 @@ def _read(file: Path) -> dict[str, dict[str, list[list[float]]]]:
 
 
 def _ratio(file: Path, case: str, kinds: dict[str, list[list[float]]]) -> tuple[float, float, float]:
-    """Return ratio, its error by scatter of the scale, and that by the microphone."""
+    """Return the ratio, its error due to the scatter of the scale, and its error due to the microphone."""
     pressure, weight, off = (np.array(kinds[kind]).reshape(-1, 4) for kind in KINDS[:3])
     needed = {(x, y) for x in GRID_MM for y in GRID_MM}
     missing = sorted(needed - {(x, y) for x, y, *_ in pressure.tolist()})

@@ -28,9 +28,13 @@ class Comparison:
     """Comparison of a measured scan with the skin of a run.
 
     measured, skin: their names; quantity: measured quantity; place: position of the scan on the skin
-    near: which points are close enough to compare, shape (points,), bool; computed: scan by palmfield at the near ones
-    numbers: numbers of the near points; bare: no instrument was given; cut_s: part of the scan after the run's end [s]
-    most_delay_s: range of the delay search; doubts: likely faults, in sentences
+    near: which points are close enough to compare, shape (points,), bool
+    computed: scan that palmfield computes at the near points
+    numbers: numbers of the near points
+    bare: whether no instrument was specified
+    cut_s: part of the scan after the end of the run [s]
+    most_delay_s: range in which the delay is searched [s]
+    doubts: likely faults, in sentences
     modes: fits of the guided mode at mode_Hz, measured and computed, if requested
     """
 

@@ -1,4 +1,4 @@
-"""Compare a measured scan with a run: register it to the skin, apply the instrument to the run, report each point."""
+"""Compare a measured scan with a run: register it to the skin, apply the instrument model, and report each point."""
 
 from pathlib import Path
 
@@ -27,9 +27,9 @@ from palmfield.tables import pop_columns, read_table
 from palmfield.types import Float
 
 OFF_M = 5e-3
-"""A measured point farther from the skin than this is excluded [m]."""
+"""Largest distance of a measured point from the skin [m]. Points farther away are excluded."""
 HUGE = 20.0
-"""A scan larger than the skin by this factor is probably in another unit."""
+"""Ratio of the size of a scan to that of the skin above which the scan is probably in another unit."""
 PAIR_COLUMNS = ("x_m", "y_m", "z_m", "skin_x_m", "skin_y_m", "skin_z_m")
 FILES = ("compare.json", "points.csv", "computed.csv", "agreement.png", "wavenumbers.png")
 UNIT = 30.0
@@ -65,13 +65,15 @@ def compare(
     """Compare a measured scan with the skin of a run.
 
     run: folder of a run, or its result.nc; measured: file of a scan (`palmfield.outputs.scan_files.READERS`), or a Scan
-    instrument: TOML file with a table [vibrometer], or settings; sampling rate, length, quantity and, if it has them,
-        lines of sight are taken from the scan. None: motion along the normal on the side of the first array, no filters
+    instrument: TOML file with a table [vibrometer], or settings. Sampling rate, length, quantity and, if available,
+        lines of sight are taken from the scan. None: motion along the normal, on the side of the first array, without
+        filters
     skin: name, needed if the run has several; fiducials: CSV file with columns PAIR_COLUMNS, points in the frame of the
         scan and their positions on the skin at rest
-    onto_surface: move the scan onto the skin as far as the shape of the skin determines its position
-    mode_Hz: frequency at which the guided mode of both is fitted; source_m: its source on the skin [m], None: where
-        the computed motion is largest; source_radius_m: excluded radius about it, 1.5 times the width of the spot
+    onto_surface: whether to move the scan onto the skin, as far as the shape of the skin determines its position
+    mode_Hz: frequency at which the guided mode of both motions is fitted
+    source_m: source of the mode on the skin [m]; None: point of largest computed motion
+    source_radius_m: radius about the source that is excluded; default 1.5 times the width of the spot
     out: folder for FILES; None writes no files
     Raises MeasurementError for invalid scans, settings and fiducials, OutputError for the run and for a folder that
     contains such files.
@@ -172,7 +174,7 @@ def _pairs(file: str | Path | None) -> tuple[Float, Float] | None:
 
 
 def _in_millimetres(scan: Scan, vertices: Float) -> str:
-    """Return a hint if a scan is so much larger than the skin that its places cannot be in metres, else ""."""
+    """Return a hint if a scan is much larger than the skin, so that its positions cannot be in metres; otherwise ""."""
     sizes = [float(np.linalg.norm(np.ptp(points, axis=0))) for points in (scan.points, vertices)]
     if sizes[0] < HUGE * sizes[1]:
         return ""
@@ -180,7 +182,10 @@ def _in_millimetres(scan: Scan, vertices: Float) -> str:
 
 
 def _through_instrument(motion: SurfaceMotion, scan: Scan, place: Registration, settings: Vibrometer | None) -> Scan:
-    """Return the computed motion at the places of the scan as its instrument reads it, at its times within the run."""
+    """Return the computed motion at the positions of the scan, as its instrument reads it.
+
+    The times are those of the scan within the run.
+    """
     head = settings or _straight(motion.normals.mean(axis=0))
     rate = scan.rate_Hz
     trigger = head.trigger_s + float(scan.times_s[0])

@@ -1,4 +1,4 @@
-"""Design of an experiment in a file: scene, varied key, question, conditions, procedure, order. No physics."""
+"""Design of an experiment, read from a file: scene, varied key, question, conditions, procedure, order. No physics."""
 
 import hashlib
 import json
@@ -22,7 +22,7 @@ KINDS: dict[str, type[Any]] = {
     "adjustment": Adjustment,
 }
 ONE_LEVEL = ("limits", "adjustment")
-"""Procedures with one interval, which ask whether the stimulus was felt."""
+"""Procedures with one interval, in which the question is whether the stimulus was perceived."""
 Scalar = bool | float | int | str | list[float]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -35,8 +35,10 @@ class _Part(BaseModel):
 class Varied(_Part):
     """The key that the procedure varies.
 
-    key: dotted, as of --set; reference: its value in the other intervals of a task with several
-    scale: log for levels that are ratios, reported as 20 lg in dB; unit: unit of the level, for tables
+    key: INSTANCE.KEY, as in --set
+    reference: value of the key in the other intervals, for a task with several intervals
+    scale: log for levels that are ratios, which are reported in dB as 20 lg
+    unit: unit of the level, for tables
     """
 
     key: str
@@ -45,21 +47,23 @@ class Varied(_Part):
     unit: str = ""
 
     def in_scale(self, level: float) -> float:
-        """Return a level in the scale of fits and pictures: in dB re 1 for a scale of ratios, -inf for 0."""
+        """Return a level in the scale of fits and pictures. For ratios this is dB re 1, and -inf for level 0."""
         if self.scale == "linear":
             return level
         return 20.0 * math.log10(level) if level > 0.0 else -math.inf
 
     def level(self, scaled: float) -> float:
-        """Return the level for a value in the scale; the inverse of `in_scale`."""
+        """Return the level for a value in the scale. This is the inverse of `in_scale`."""
         return scaled if self.scale == "linear" else float(10.0 ** (scaled / 20.0))
 
 
 class Task(_Part):
     """The question after each trial.
 
-    kind: yes_no (was it felt?), or nafc (in which of several intervals was the target?); question: question in words
-    gap_s: pause between intervals; guess: for yes_no, rate of yes without sound, used by fits
+    kind: yes_no (was the stimulus perceived?) or nafc (in which of several intervals was the target?)
+    question: question in words
+    gap_s: pause between intervals [s]
+    guess: for yes_no, the rate of answers "yes" without sound, which fits use
     """
 
     kind: Literal["yes_no", "nafc"] = "nafc"
@@ -75,16 +79,18 @@ class Task(_Part):
 
 
 class Condition(_Part):
-    """Other values of the keys of the scene. name: label of the condition; keys: dotted, as of --set"""
+    """Other values of keys of the scene. name: label of the condition; keys: INSTANCE.KEY, as in --set"""
 
     name: str = Field(min_length=1)
     keys: dict[str, Scalar] = {}
 
 
 class Simulated(_Part):
-    """A simulated observer with a given psychometric function. threshold, spread: values in the unit of the varied
-    key, or in dB for a scale of ratios; lapse: rate of wrong answers at any level; thresholds: other thresholds, by
-    condition
+    """A simulated observer with a psychometric function that the design defines.
+
+    threshold, spread: values in the unit of the varied key, or in dB for ratios
+    lapse: rate of wrong answers at any level
+    thresholds: other thresholds, by condition
     """
 
     threshold: Number
@@ -94,7 +100,7 @@ class Simulated(_Part):
     thresholds: dict[str, Number] = {}
 
     def function(self, condition: str) -> PsychometricFunction:
-        """Return the function of detection, without guesses."""
+        """Return the probability of detection as a function of the level, without guesses."""
         return PsychometricFunction(self.shape, self.thresholds.get(condition, self.threshold), self.spread)
 
 
@@ -102,8 +108,10 @@ class SkinObserver(_Part):
     """An observer that responds to the motion of the simulated skin.
 
     observer: name of an observer of `palmfield.perception`; a level of 0 dB above its threshold is detected with
-    probability 1/2
-    slope: b of 1 - exp(-ln 2 E^b), E the level as a ratio; lapse: as for Simulated; skin: instance, None for the first
+        probability 1/2
+    slope: b in 1 - exp(-ln 2 E^b), where E is the level as a ratio
+    lapse: as for Simulated
+    skin: instance of the skin, None for the first
     """
 
     observer: str = "bolanowski_1988"
@@ -113,8 +121,11 @@ class SkinObserver(_Part):
 
 
 class Trigger(_Part):
-    """A serial line that is raised when sound begins. port: serial; line: DTR, RTS, or a byte that is sent; pulse_s:
-    duration of the pulse
+    """A serial line that is raised when sound begins.
+
+    port: serial port
+    line: DTR, RTS, or a byte that is sent
+    pulse_s: duration of the pulse [s]
     """
 
     port: str
@@ -126,8 +137,10 @@ class Trigger(_Part):
 class Design(_Part):
     """An experiment. See docs/experiments.md for each key.
 
-    scene: file, relative to the file of the experiment; blocks: number of runs of each condition
-    order: order in each block: trials of all conditions interleaved, or one condition after another, both drawn by seed
+    scene: file of the scene, relative to the file of the experiment
+    blocks: number of runs of each condition
+    order: order of the trials in each block: all conditions interleaved, or one condition after another. The order is
+        random, by the seed
     """
 
     name: str = Field(min_length=1)
@@ -175,7 +188,7 @@ class Design(_Part):
         return self
 
     def procedure_of(self, block: int, condition: int) -> Procedure:
-        """Return the procedure of one run, with its own random order."""
+        """Return the procedure of one run. Each run has its own random order."""
         keys = {key: value for key, value in self.procedure.items() if key != "kind"}
         kind = KINDS[self.procedure["kind"]]
         if kind is not ConstantStimuli:
@@ -193,13 +206,19 @@ class Design(_Part):
         return made
 
     def digest(self, observer: str) -> str:
-        """Return a digest of the settings that are fixed within a log: all but other observers, markers, board."""
+        """Return a digest of the settings that are fixed within a log.
+
+        Observers, markers and the board are excluded.
+        """
         others = {"simulated", "skin"} - {observer}
         own = self.model_dump(mode="json", exclude=others | {"lsl", "trigger", "board"})
         return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
 
     def playable(self) -> tuple[float, float]:
-        """Return least and largest level that the varied key allows and the procedure uses; infinite if unlimited."""
+        """Return the smallest and the largest level that the varied key allows and the procedure uses.
+
+        Without a limit they are infinite.
+        """
         part, _, key = self.varied.key.rpartition(".")
         models = [one for one in CONFIGS if key in one.model_fields]
         models = [one for one in models if one.plugin == f"palmfield.{part}"] or models
@@ -211,23 +230,23 @@ class Design(_Part):
         return max(lows), min(highs)
 
     def keys_at(self, condition: int, level: float) -> dict[str, object]:
-        """Return the keys of a presentation, as `palmfield.load` takes them."""
+        """Return the keys of a presentation, in the form for `palmfield.load`."""
         return {**self.keys, **self.conditions[condition].keys, self.varied.key: level}
 
     def highest(self) -> float | None:
-        """Return the highest level that may be played; None if the procedure has no upper end."""
+        """Return the highest level that may be played. None if the procedure has no upper limit."""
         levels: list[float] = self.procedure.get("levels") or [self.procedure.get("high", math.inf)]
         return None if math.isinf(max(levels)) else max(levels)
 
     def next_condition(self, block: int, number: int, unfinished: list[int]) -> int:
-        """Return the condition of a trial of a block, among those that have trials left."""
+        """Return the condition of a trial of a block. It is one of the conditions that have trials left."""
         if self.order == "blocked":
             order = np.random.default_rng((self.seed, 1, block)).permutation(len(self.conditions)).tolist()
             return next(int(condition) for condition in order if condition in unfinished)
         return unfinished[int(np.random.default_rng((self.seed, 2, block, number)).integers(len(unfinished)))]
 
     def target(self, trial: int) -> int:
-        """Return the interval, from 1, that contains the target of a trial (from 0)."""
+        """Return the number of the interval, from 1, that contains the target of a trial. trial: number from 0"""
         if self.task.kind == "yes_no":
             return 1
         return 1 + int(np.random.default_rng((self.seed, 3, trial)).integers(self.task.intervals))

@@ -1,8 +1,8 @@
 """The log of an experiment: one line of JSON for each trial, written to disk before the next trial begins.
 
 The first line is the head: `palmfield_experiment` (1), design and its digest, digest of the scene, participant,
-observer, versions. Each session that continues the experiment adds a line with `session`: the date, and the wall clock
-at time 0 of all times. Each other line is a trial.
+observer, and versions. Each session that continues the experiment adds a line `session` with the date, and with the
+wall-clock time at which the time axis of the log is 0. Each other line is a trial.
 """
 
 import datetime
@@ -28,7 +28,7 @@ VERSION = 1
 
 
 class Trial(NamedTuple):
-    """A logged trial. number: number from 0; block, condition: numbers from 0; content: its line"""
+    """A logged trial. number, block, condition: numbers from 0; content: its line in the log"""
 
     number: int
     block: int
@@ -46,7 +46,7 @@ class Log(NamedTuple):
 
 
 def read_experiment_log(path: Path) -> Log:
-    """Read the content of the log; an incomplete last line, for instance after a power failure, is ignored.
+    """Read the content of a log. An incomplete last line, for instance after a power failure, is ignored.
 
     Raises OutputError for a file that cannot be read or is not a log of this version.
     """
@@ -75,7 +75,7 @@ def read_experiment_log(path: Path) -> Log:
 
 
 def next_trial(design: Design, trials: list[Trial]) -> tuple[int, int, int, float] | None:
-    """Return number, block, condition and level of the next trial; None at the end."""
+    """Return number, block, condition and level of the next trial. None at the end."""
     for block in range(design.blocks):
         unfinished: list[int] = []
         coming: dict[int, float] = {}
@@ -93,13 +93,16 @@ def next_trial(design: Design, trials: list[Trial]) -> tuple[int, int, int, floa
 
 
 class LogWriter(Closing):
-    """Writes the log of an experiment, new or continued; it is locked for other processes. A context manager.
+    """Context manager that writes the log of an experiment, new or continued.
 
-    trials: trials so far, in order; session: number of this session, from 1
+    Other processes cannot write it meanwhile.
+
+    trials: trials so far, in order
+    session: number of this session, from 1
     """
 
     def __init__(self, path: Path, design: Design, scene: Path, participant: str, observer: str, board: str) -> None:
-        """Raises OutputError if the file cannot be written, belongs to another experiment, or is being written."""
+        """Open the log. Raises OutputError for an unwritable file, another experiment, and a log that is in use."""
         self.path, self.design, self.participant = path, design, participant
         head = {
             "palmfield_experiment": VERSION, "name": design.name, "digest": design.digest(observer),
@@ -144,7 +147,7 @@ class LogWriter(Closing):
                 raise OutputError(f"{self.path} contains trials of another {what} ({difference}); give another --log")
 
     def add(self, trial: Mapping[str, Any], condition: int, answered: Answered) -> None:
-        """Write a trial; it is on the disk when this returns. Raises OutputError if writing fails."""
+        """Write a trial. It is on the disk when this returns. Raises OutputError if writing fails."""
         self._line({**trial, "session": self.session})
         self.trials.append(Trial(int(trial["trial"]), int(trial["block"]), condition, answered, trial))
 
@@ -161,7 +164,7 @@ class LogWriter(Closing):
 
 
 def _scene_digest(scene: Path) -> str:
-    """Return a digest of the file of the scene and those that it includes."""
+    """Return a digest of the scene file and of the files that it includes."""
     text = read_scene_text(scene)
     result = hashlib.sha256()
     for file in (scene, *text.included):

@@ -1,4 +1,4 @@
-"""Observers: a person at the keyboard, one with a given psychometric function, or one based on the simulated skin."""
+"""Observers of an experiment: a person at the keyboard, a psychometric function, or a model of the simulated skin."""
 
 import math
 import select
@@ -24,8 +24,11 @@ PRESS = {"yes_no": {"y": "yes", "n": "no"}, "adjustment": {"+": "stronger", "-":
 
 
 class Shown(NamedTuple):
-    """A trial presented to an observer. levels, keys: levels and keys of the scene by interval; target: number of the
-    interval with the stimulus, from 1; number: number from 0
+    """A trial that is presented to an observer.
+
+    levels, keys: level, and keys of the scene, in each interval
+    target: number of the interval with the stimulus, from 1
+    number: number of the trial, from 0
     """
 
     number: int
@@ -37,17 +40,23 @@ class Shown(NamedTuple):
 
 
 class Respondent(Protocol):
-    """Answers trials: `yes`, `no`, the number of an interval, `stronger`, `weaker` or `done`; and response time [s]."""
+    """Answers trials. Returns the answer and the response time [s].
+
+    The answer is `yes`, `no`, the number of an interval, `stronger`, `weaker` or `done`.
+    """
 
     def answer(self, shown: Shown) -> tuple[str, float]: ...
 
 
 class Stopped(Exception):
-    """The participant has ended the session."""
+    """Exception for a session that the participant has ended."""
 
 
 class Keyboard:
-    """A person at a terminal, who presses one key an answer; from a file, lines are read. `q` ends the session."""
+    """A person at a terminal, who presses one key per answer. If the input is a file, lines are read.
+
+    `q` ends the session.
+    """
 
     def __init__(self, design: Design, keys: TextIO | None = None, screen: TextIO | None = None) -> None:
         self.design = design
@@ -110,7 +119,7 @@ class Keyboard:
 
 
 class SimulatedObserver:
-    """An observer with the function under `simulated` in the design; answers depend only on seed and trial."""
+    """An observer with the function in table `simulated` of the design. Its answers depend only on seed and trial."""
 
     def __init__(self, design: Design) -> None:
         if design.simulated is None:
@@ -118,7 +127,7 @@ class SimulatedObserver:
         self.design, self.lapse = design, design.simulated.lapse
 
     def detected(self, shown: Shown, interval: int) -> float:
-        """Return the probability that the sound of an interval is felt."""
+        """Return the probability that the sound of an interval is perceived."""
         scaled = self.design.varied.in_scale(shown.levels[interval])
         assert self.design.simulated is not None
         return 0.0 if scaled == -math.inf else float(self.design.simulated.function(shown.condition)(scaled))
@@ -144,9 +153,10 @@ class SimulatedObserver:
 
 
 class FeelingObserver(SimulatedObserver):
-    """A SimulatedObserver whose level is that of the simulated skin above the threshold of a model of perception.
+    """A SimulatedObserver whose level is computed from the motion of the simulated skin.
 
-    levels: [dB SL] by keys, cached
+    The level is that above the threshold of a model of perception.
+    levels: cached levels [dB SL] by keys
     """
 
     def __init__(self, design: Design, scene: Path, board: str | None) -> None:
@@ -162,7 +172,7 @@ class FeelingObserver(SimulatedObserver):
     def level_dB(self, keys: Mapping[str, object]) -> float:
         """Return the level above threshold for some keys [dB SL]; -inf in silence.
 
-        Raises OutputError with the reason if the observer has no threshold for them.
+        Raises OutputError, with the reason, if the observer has no threshold for this motion.
         """
         key = repr(sorted(keys.items()))
         if key not in self.levels:
@@ -189,7 +199,7 @@ class FeelingObserver(SimulatedObserver):
 
 
 def observer_of(name: str, design: Design, scene: Path, board: str | None) -> Respondent:
-    """Return the observer with a name of NAMES. Raises OutputError for other names and for a missing table."""
+    """Return the observer with a name of NAMES. Raises OutputError for another name, and if its table is missing."""
     match name:
         case "keyboard":
             return Keyboard(design)

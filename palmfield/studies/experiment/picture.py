@@ -1,4 +1,4 @@
-"""The picture of a report: for each condition its runs, trial by trial, and its psychometric function."""
+"""Picture of a report: for each condition its runs, trial by trial, and its psychometric function."""
 
 from pathlib import Path
 
@@ -39,7 +39,7 @@ def _level_name(design: Design) -> str:
 
 
 def _runs(axes: Axes, condition: ConditionReport, design: Design) -> None:
-    """Draw levels over trials, filled markers for right answers; mark reversals and estimate of the staircase."""
+    """Draw the level over trials, with filled markers for right answers. Mark reversals and estimate of a staircase."""
     begin = 0
     for block, run in enumerate(condition.runs):
         if not run:
@@ -66,7 +66,10 @@ def _runs(axes: Axes, condition: ConditionReport, design: Design) -> None:
 
 
 def _function(axes: Axes, condition: ConditionReport, report: Report) -> None:
-    """Draw shares of right answers, with areas by numbers of trials, the fitted function and its threshold interval."""
+    """Draw the fraction of right answers at each level, the fitted function, and its threshold interval.
+
+    The area of a marker shows the number of trials.
+    """
     design = report.design
     if condition.levels:
         sizes = 12.0 + 120.0 * np.array(condition.trials) / max(condition.trials)

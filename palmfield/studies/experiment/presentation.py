@@ -22,7 +22,7 @@ from palmfield.session.preview import preview
 from palmfield.studies.experiment.design import Design
 
 OnSound = Callable[[float], None]
-"""Called with the time of the sound of the first frame as soon as it is measured [s, time.monotonic]."""
+"""Function that is called as soon as the start of the sound is measured. Argument: this time [s, time.monotonic]."""
 MOST_PREPARED = 256
 
 
@@ -37,10 +37,14 @@ class Presentation:
 
 
 class Emission(NamedTuple):
-    """Times at which frames of a presentation sounded, when their last bytes were on the line [s, time.monotonic].
+    """Times at which the frames of a presentation sounded, i.e.
 
-    first_s, last_s: times of the first and the last frame; frames: their number; skipped: number of dropped frames
-    log: file of sent frames and their times; None without a board, when times are those of the calls
+    when their last bytes were on the line [s, time.monotonic].
+
+    first_s, last_s: times of the first and the last frame
+    frames: number of frames
+    skipped: number of dropped frames
+    log: file of sent frames with their times; None without a board, when times are those of the calls
     log_s: time of the first frame on the clock of the log [s]
     """
 
@@ -75,20 +79,24 @@ def presentation(
 
 
 class Sender(Closing):
-    """Sends presentations to a port by one player process for all of them; without a port nothing is sent.
+    """Context manager that sends presentations to a port, all by one player process. Without a port nothing is sent.
 
-    This is the only place where an experiment sends. A context manager: the board is silent at its end.
+    An experiment sends data only here. At the end of the block, the board is silent.
     """
 
     def __init__(self, scene: Path, board: str | None, port: str | None, duration_s: float, log: Path) -> None:
-        """log: log of frames, its folder is created when needed; files of further players are numbered"""
+        """scene, board, duration_s: as in `presentation`
+
+        port: port of the board, None for no output
+        log: log of frames; its folder is created when needed. The logs of further players have a number in their names
+        """
         self.scene, self.board, self.port, self.duration_s, self.log = scene, board, port, duration_s, log
         self._prepared: dict[str, Presentation] = {}
         self._open: tuple[Board, Path, Player] | None = None
         self._players = 0
 
     def prepare(self, keys: Mapping[str, object]) -> Presentation | None:
-        """Return the presentation for some keys, made at the first call; None without a port."""
+        """Return the presentation for some keys, which is made at the first call. None without a port."""
         if self.port is None:
             return None
         key = repr(sorted(keys.items()))
@@ -99,7 +107,7 @@ class Sender(Closing):
         return self._prepared[key]
 
     def send(self, what: Presentation | None, on_sound: OnSound) -> Emission:
-        """Play a presentation to its end, and return when it sounded. Raises DeviceError when the board is lost."""
+        """Play a presentation to its end, and return when it sounded. Raises DeviceError if the board is lost."""
         if what is None or self.port is None:
             now = time.monotonic()
             on_sound(now)
@@ -113,7 +121,10 @@ class Sender(Closing):
         return Emission(report.first_s, report.last_s, report.frames, report.skipped, file, begun_s)
 
     def _player(self, what: Presentation, port: str) -> tuple[Path, Player]:
-        """Return the player for a presentation's board: one for each pair of start and stop bytes."""
+        """Return the player for the board of a presentation.
+
+        There is one player for each pair of start and stop bytes.
+        """
         if self._open is not None and self._open[0] == what.board:
             return self._open[1:]
         self.close()

@@ -1,6 +1,7 @@
-"""Choose the next level: staircases, limits, constant stimuli, adjustment. Only the answers so far determine it.
+"""Choose the next level of an experiment: staircases, limits, constant stimuli, adjustment.
 
-A procedure has no state: each call passes the trials of the run so far, so an interrupted experiment can continue.
+The next level depends only on the answers so far. A procedure has no state: each call passes the trials of the run so
+far. So an interrupted experiment can continue.
 """
 
 import math
@@ -20,7 +21,7 @@ STRICT = ConfigDict(extra="forbid", strict=False)
 
 
 class Answered(NamedTuple):
-    """A trial of one run. right: whether the answer was correct, or yes; word: the answer in an adjustment"""
+    """A trial of one run. right: whether the answer was correct, or was "yes"; word: the answer in an adjustment"""
 
     level: float
     right: bool
@@ -28,14 +29,14 @@ class Answered(NamedTuple):
 
 
 def _mean(levels: Sequence[float], scale: Scale) -> float:
-    """Return the mean in a scale, geometric for ratios; NaN without levels."""
+    """Return the mean in a scale, which is geometric for ratios. NaN without levels."""
     if not levels:
         return math.nan
     return float(np.exp(np.mean(np.log(levels)))) if scale == "log" else float(np.mean(levels))
 
 
 def _moved(level: float, step: float, scale: Scale, low: float, high: float) -> float:
-    """Return a level moved by a step (dB for a scale of ratios) and clipped to limits."""
+    """Return a level moved by a step (in dB for ratios), and clipped to the limits."""
     moved = level + step if scale == "linear" else level * 10.0 ** (step / 20.0)
     return round(min(max(moved, low), high), 12)
 
@@ -43,14 +44,19 @@ def _moved(level: float, step: float, scale: Scale, low: float, high: float) -> 
 @with_config(STRICT)
 @dataclass(frozen=True)
 class Staircase:
-    """A transformed up-down staircase (Levitt 1971): harder after `down` right answers in a row, easier after `up`
-    wrong ones; one of the two is 1.
+    """A transformed up-down staircase (Levitt 1971).
 
-    start: first level; steps: sizes, each used until the next reversal, the last one to the end; up_ratio: size of
-    steps to easier levels, relative to that of steps to harder ones; scale: steps are added (linear) or are dB (log: 20
-    lg)
-    low, high: limits of presented levels; reversals, trials: it ends after either number
-    skipped: first reversals, which the estimate excludes; harder: whether harder levels are lower or higher
+    After `down` right answers in a row the next level is harder; after `up` wrong answers in a row it is easier. One of
+    the two numbers is 1.
+
+    start: first level
+    steps: step sizes; each is used until the next reversal, and the last one to the end
+    up_ratio: size of steps to easier levels, divided by that of steps to harder levels
+    scale: steps are added (linear) or are in dB (log: 20 lg)
+    low, high: limits of presented levels
+    reversals, trials: numbers after which the staircase ends; whichever is reached first
+    skipped: number of first reversals that the estimate excludes
+    harder: whether harder levels are lower or higher
     """
 
     start: float
@@ -79,10 +85,12 @@ class Staircase:
 
     @property
     def convergence(self) -> float:
-        """Share of right answers at which steps to harder and to easier levels balance.
+        """Fraction of right answers at which steps to harder and to easier levels balance.
 
-        A share p^down of the moves is to harder levels after `down` right answers in a row. An up_ratio q gives p^down
-        = q/(1 + q): 0.707 for 1 up 2 down, 0.794 for 1 up 3 down, 0.293 for 2 up 1 down (Levitt 1971, table I).
+        With a fraction p of right answers, a fraction p^down of the moves is to harder levels. An up_ratio q gives
+        p^down
+        = q/(1 + q). So p is 0.707 for 1 up 2 down, 0.794 for 1 up 3 down, and 0.293 for 2 up 1 down (Levitt 1971, table
+        I).
         """
         to_harder = self.up_ratio / (1.0 + self.up_ratio)
         if self.up == 1:
@@ -101,7 +109,7 @@ class Staircase:
     def estimate(self, run: Sequence[Answered]) -> float:
         """Return the mean level of an even number of reversals, in the scale; NaN with fewer than two.
 
-        It estimates the level of `convergence`.
+        The mean estimates the level of `convergence`.
         """
         levels = [run[turn].level for turn in self.turns(run)[self.skipped :]]
         return _mean(levels[len(levels) % 2 :], self.scale)
@@ -133,8 +141,11 @@ class _Course(NamedTuple):
 @with_config(STRICT)
 @dataclass(frozen=True)
 class ConstantStimuli:
-    """Present each level equally often, in an order drawn for each repetition. levels; repeats; seed: seed of the
-    order
+    """Present each level equally often.
+
+    levels: the levels
+    repeats: number of repetitions; each has its own random order
+    seed: seed of the order
     """
 
     levels: tuple[float, ...]
@@ -160,7 +171,7 @@ class ConstantStimuli:
 @with_config(STRICT)
 @dataclass(frozen=True)
 class Adjustment:
-    """A participant makes a level stronger and weaker until it is just felt, several times from random start levels.
+    """A participant makes a level stronger and weaker until it is just perceptible, from several random start levels.
 
     low, high: limits of the levels; step, scale: as for a staircase; settings: number of settings
     presses: largest number of answers in one setting. Answers are `stronger`, `weaker`, and `done`.
@@ -217,7 +228,7 @@ class Adjustment:
 @with_config(STRICT)
 @dataclass(frozen=True)
 class Limits:
-    """The method of limits: series of rising and of falling levels, in turn, each until the answer changes.
+    """The method of limits: rising and falling series of levels in turn. Each ends when the answer changes.
 
     levels: rising; series: number of series; rising and falling alternate, the first is rising
     scale: scale of the mean. A rising series ends at the first yes and a falling one at the first no, at the latest
@@ -244,10 +255,10 @@ class Limits:
         return None if number >= self.series else self._order(number)[place]
 
     def estimate(self, run: Sequence[Answered]) -> float:
-        """Return the mean, in the scale, of the ends of the series; NaN without one. An end is midway between the level
-        that changed the answer and the one before.
+        """Return the mean, in the scale, of the ends of the series; NaN without an end.
 
-        A series whose answer never changed, or changed at its first level, has no end and is excluded.
+        The end of a series is midway between the level that changed the answer and the previous level. A series whose
+        answer never changed, or changed at its first level, is excluded.
         """
         ends = []
         number, place = 0, 0
@@ -264,7 +275,7 @@ class Limits:
         return self.levels if number % 2 == 0 else self.levels[::-1]
 
     def _after(self, number: int, place: int, trial: Answered) -> tuple[int, int]:
-        """Return the number of the series and the position in it, after a trial."""
+        """Return the number of the series, and the position in it, after a trial."""
         turned = trial.right == (number % 2 == 0)
         return (number + 1, 0) if turned or place + 1 == len(self.levels) else (number, place + 1)
 

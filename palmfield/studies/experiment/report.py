@@ -1,4 +1,7 @@
-"""Evaluate a log: thresholds by condition, of the procedure and of a fitted psychometric function, with intervals."""
+"""Evaluate a log: thresholds by condition, from the procedure and from a fitted psychometric function.
+
+Thresholds have intervals.
+"""
 
 import math
 from collections.abc import Sequence
@@ -15,17 +18,20 @@ from palmfield.studies.experiment.log import Log, Trial, next_trial, read_experi
 from palmfield.studies.experiment.procedures import Adjustment, Answered, Limits, Staircase
 
 STEEP = 0.5
-"""Fraction of the smallest distance between levels; a function with a smaller spread rises between two levels."""
+"""Fraction of the smallest distance between levels. A function with a smaller spread rises between two levels."""
 
 
 @dataclass(frozen=True)
 class ConditionReport:
-    """One condition. runs: trials by block; estimates: estimates by the procedure, one a block, in the unit of the
-    varied key
+    """Evaluation of one condition.
 
-    levels: levels in the scale of fits (dB re 1 for ratios); shares: shares of right answers (or yes); trials: their
-    numbers
-    fit: the fit, or None; why: reason why there is none
+    runs: trials by block
+    estimates: estimates by the procedure, one for each block, in the unit of the varied key
+    levels: levels in the scale of fits (dB re 1 for ratios)
+    shares: fraction of right answers (or of "yes") at each level
+    trials: number of trials at each level
+    fit: the fit, or None
+    why: reason why there is no fit
     """
 
     name: str
@@ -45,9 +51,10 @@ class ConditionReport:
 
 @dataclass(frozen=True)
 class Report:
-    """Report of a log. convergence: share of right answers that staircases converge to, None for other procedures
+    """Report of a log.
 
-    spread_known: whether the spread was given to the fits
+    convergence: fraction of right answers to which staircases converge, None for other procedures
+    spread_known: whether the spread was specified, so that it is not fitted
     """
 
     log: Log
@@ -72,9 +79,8 @@ def report_of(
 ) -> Report:
     """Return the report of the log of an experiment, finished or not.
 
-    shape, lapse, spread, confidence: options of the fit (`palmfield.perception.psychometric.fit`); lapse and spread
-    (dB if
-        the scale is of ratios) are fitted if None
+    shape, lapse, spread, confidence: options of the fit (`palmfield.perception.psychometric.fit`). lapse and spread are
+        fitted if None; for ratios, spread is in dB
     Raises OutputError for a file that is not a log, and for values of shape, lapse and confidence that the fit does not
     allow.
     """
@@ -133,9 +139,7 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: d
 
 
 def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, float | None]:
-    """Return the interval of the threshold in the unit of the varied key; None for an end outside the allowed
-    levels.
-    """
+    """Return the interval of the threshold in the unit of the varied key. An end outside the allowed levels is None."""
     assert one.fit is not None
     low, high = (design.varied.level(end) for end in one.fit.threshold_interval)
     least, most = design.playable()
@@ -150,7 +154,7 @@ def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, flo
 
 
 def threshold_of(design: Design, one: ConditionReport) -> tuple[float | None, str]:
-    """Return the threshold in the unit of the varied key, and in words; None if it is outside the allowed levels."""
+    """Return the threshold in the unit of the varied key, and in words. It is None outside the allowed levels."""
     assert one.fit is not None
     (least, most), level = design.playable(), design.varied.level(one.fit.threshold)
     if least <= level <= most:
@@ -159,14 +163,14 @@ def threshold_of(design: Design, one: ConditionReport) -> tuple[float | None, st
 
 
 def written(low: float | None, high: float | None) -> str:
-    """Return an interval in words, from its ends as of `interval_of`."""
+    """Return an interval in words. low, high: its ends, from `interval_of`"""
     if low is None and high is None:
         return "not bounded"
     return f"{'not bounded' if low is None else f'{low:.4g}'} to {'not bounded' if high is None else f'{high:.4g}'}"
 
 
 def as_dict(report: Report) -> dict[str, Any]:
-    """Return the report with units in the names; None for values outside the levels that can be presented."""
+    """Return the report with units in the names. Values outside the levels that can be presented are None."""
     varied, head = report.design.varied, report.log.head
     rows = []
     for one in report.conditions:

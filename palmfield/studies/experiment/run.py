@@ -22,12 +22,15 @@ from palmfield.studies.experiment.presentation import Markers, Sender, presentat
 from palmfield.studies.experiment.procedures import Answered
 
 OnTrial = Callable[[Trial, float], None]
-"""Called after each logged trial, with the mean duration of recent trials [s]."""
+"""Function that is called after each logged trial. Argument: mean duration of recent trials [s]."""
 
 
 @dataclass(frozen=True)
 class Done:
-    """Result of a session. trials: number in the log; new: number in this session; finished: whether all are done"""
+    """Result of a session.
+
+    trials: number in the log; new: number in this session; finished: whether all trials are done
+    """
 
     log: Path
     trials: int
@@ -47,12 +50,13 @@ def run_experiment(
     answers: Respondent | None = None,
     on_trial: OnTrial | None = None,
 ) -> Done:
-    """Run or continue an experiment: every trial is in the log before the next begins.
+    """Run or continue an experiment. Each trial is in the log before the next trial begins.
 
-    observer: keyboard, simulated or skin; answers: a custom observer that replaces it, logged under the name `observer`
-    port: port of the board; virtual: whether to use a virtual board; without both there is no sound, which suffices for
-    simulated observers
-    board: replaces that of the design or scene, as in `palmfield.load`
+    observer: keyboard, simulated or skin
+    answers: a custom observer that replaces it, logged under the name `observer`
+    port: port of the board
+    virtual: whether to use a virtual board; with neither there is no sound, which suffices for simulated observers
+    board: board that replaces that of the design or scene, as in `palmfield.load`
     Raises OutputError for an invalid design and a log of another design, SceneError and DeviceError as `drive` does.
     """
     design = read_design(experiment)
@@ -99,7 +103,7 @@ def run_experiment(
 
 @contextmanager
 def _warnings_once() -> Iterator[None]:
-    """Suppress the scene's repeated messages about changes by another board, which every trial would print."""
+    """Show the scene's messages about a change of the board only once. Otherwise every trial would print them."""
     log = logging.getLogger("palmfield.session")
     before = log.level
     log.setLevel(logging.WARNING)
@@ -110,7 +114,7 @@ def _warnings_once() -> Iterator[None]:
 
 
 def _checked(design: Design, experiment: Path, scene: Path, board: str | None, condition: int) -> Preview:
-    """Return the scene at the first level of a condition, and check its reference level too."""
+    """Return the scene at the first level of a condition. Also check the scene at the reference level."""
     first = design.procedure_of(0, condition).next_level([])
     assert first is not None
     levels = [first, design.varied.reference] if design.task.kind == "nafc" else [first]
@@ -120,7 +124,7 @@ def _checked(design: Design, experiment: Path, scene: Path, board: str | None, c
 
 
 def _allowed(design: Design, experiment: Path, scene: Path, board: str | None) -> None:
-    """Make the highest level of each condition, so that errors for too long or loud sound are raised before trials."""
+    """Prepare the highest level of each condition, so that errors for long or loud sound come before the trials."""
     level = design.highest()
     for number, condition in enumerate(design.conditions if level is not None else ()):
         assert level is not None
@@ -129,7 +133,7 @@ def _allowed(design: Design, experiment: Path, scene: Path, board: str | None) -
 
 
 class _Session:
-    """A session of trials."""
+    """A session of trials of one participant."""
 
     def __init__(self, design: Design, writer: LogWriter, sender: Sender, who: Respondent, markers: Markers) -> None:
         self.design, self.writer, self.sender, self.who, self.markers = design, writer, sender, who, markers

@@ -21,20 +21,22 @@ from palmfield.studies.sweeps.point import Numbers, measured
 from palmfield.types import Float
 
 MOST_IN_BATCH = 16
-"""Largest number of points in a batch, as worlds of one simulation; if a worker is killed, the whole batch is lost."""
+"""Largest number of points in a batch, which are worlds of one simulation. A killed worker loses its whole batch."""
 MOST_ON_GPU = 64
-"""The same for fields on a GPU, which needs more worlds to be fully used."""
+"""Largest number of points in a batch for fields on a GPU. A GPU needs more worlds to be fully used."""
 BATCHES_PER_WORKER = 4
-"""Target number of batches for each worker, so that workers end at about the same time."""
+"""Target number of batches for each worker. With several batches, workers end at about the same time."""
 
 
 @dataclass(frozen=True)
 class Task:
     """Settings that all points of a sweep share.
 
-    scene: path on the workers; device, accuracy: see `palmfield.session.open_scene.compiled`
-    duration_s: duration of each run [s]; times: times of courses [s], shape (t,); errors: whether errors are estimated
-    threads: limit for a worker, None for no change
+    scene: path of the scene on the workers; device, accuracy: see `palmfield.session.open_scene.compiled`
+    duration_s: duration of each run [s]
+    times: times of the time series [s], shape (t,)
+    errors: whether errors are estimated
+    threads: largest number of threads of a worker, None for no change
     """
 
     scene: Path
@@ -48,13 +50,13 @@ class Task:
 
 @dataclass(frozen=True)
 class Failed:
-    """A point without numbers. reason: the error, in one line"""
+    """A point without results. reason: the error, in one line"""
 
     reason: str
 
 
 Results = Mapping[int, Numbers | Failed]
-"""Results by the points' numbers in the design."""
+"""Results by the number of the point in the design."""
 
 
 class Batch(NamedTuple):
@@ -65,10 +67,10 @@ class Batch(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A point for the process that computes it.
+    """A point in the form for the process that computes it.
 
     keys: all keys that differ from those of the scene, as for `palmfield.Simulation`
-    differing: keys among them that may differ between worlds of one model
+    differing: those of the keys that may differ between worlds of one model
     """
 
     keys: Keys
@@ -76,9 +78,9 @@ class Point(NamedTuple):
 
 
 def run_batch(task: Task, base: Keys, shared: Shared | None, points: Sequence[Point]) -> Sequence[Numbers | Failed]:
-    """Return the numbers of points that share a model, as worlds of one simulation.
+    """Return the numbers of points that share a model, computed as worlds of one simulation.
 
-    If one of them fails, they are computed one by one; a point that fails then returns its error.
+    If one of them fails, they are computed one by one. A point that fails then returns its error.
     base, shared: see `palmfield.studies.sweeps.groups.Group`
     """
     if task.threads is not None:
@@ -141,9 +143,11 @@ def batches(
 ) -> list[Batch]:
     """Split points into batches that share a model, so that few workers make the same model.
 
-    points: numbers of the points to compute; model_keys: for each point, a value that all points of its batch must
-        share
-    workers: number of workers, >= 1; most: points in a batch. Batches are in the order in which they should begin.
+    points: numbers of the points to compute
+    model_keys: for each point, a value that must be equal for all points of a batch
+    workers: number of workers, >= 1
+    most: largest number of points in a batch
+    Returns the batches in the order in which they should begin.
     """
     groups: dict[Any, list[int]] = defaultdict(list)
     for point in points:

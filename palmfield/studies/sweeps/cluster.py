@@ -1,4 +1,4 @@
-"""Dask workers: an embedded local cluster, with one GPU for each worker if GPUs are used, or an external cluster."""
+"""Dask workers: a local cluster, with one GPU for each worker if GPUs are used, or an external cluster."""
 
 import logging
 import os
@@ -30,9 +30,9 @@ class Slot(NamedTuple):
 
 @contextmanager
 def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
-    """Yield a Dask client with new workers on this machine (processes with one thread), which are stopped at the end.
+    """Yield a Dask client with new workers on this machine: processes with one thread, which are stopped at the end.
 
-    gpus: names of GPUs as in CUDA_VISIBLE_DEVICES, each worker gets one; empty for none
+    gpus: names of GPUs as in CUDA_VISIBLE_DEVICES, one for each worker; empty for no GPU
     Raises PalmfieldError if they do not start.
     """
     from distributed import Client, Nanny, Scheduler  # noqa: F401
@@ -103,7 +103,7 @@ def remote_cluster(address: str) -> Iterator[Any]:
 
 
 def slots(client: Any, scene: Path) -> list[Slot]:
-    """Return the threads of all workers, and check that each worker has this palmfield and can read the scene.
+    """Return the threads of all workers. Check that each worker has the same palmfield and can read the scene.
 
     Raises PalmfieldError with the name of the worker if the check fails.
     """

@@ -20,7 +20,7 @@ MOST_POINTS = 10_000_000
 
 
 class Range(NamedTuple):
-    """All numbers from `low` to `high`; in a logarithmic range all octaves are equally likely."""
+    """All numbers from `low` to `high`. In a logarithmic range, all octaves are equally likely."""
 
     low: float
     high: float
@@ -31,8 +31,9 @@ class Range(NamedTuple):
 class Design:
     """Points of a sweep.
 
-    kind: how they were made; keys: names of the swept keys
-    values: values by key; for a grid those along the dimension of the key, else one for each point
+    kind: how the points were made
+    keys: names of the swept keys
+    values: values by key; for a grid, the values along the dimension of the key; otherwise one value for each point
     """
 
     kind: Kind
@@ -45,12 +46,12 @@ class Design:
 
     @property
     def dims(self) -> tuple[str, ...]:
-        """Dimensions of the dataset: the keys of a grid, else `point`."""
+        """Dimensions of the dataset: the keys for a grid, otherwise `point`."""
         return self.keys if self.kind == "grid" else ("point",)
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
-        """Points along each dimension."""
+        """Number of points along each dimension."""
         lengths = tuple(len(values) for values in self.values.values())
         return lengths if self.kind == "grid" else lengths[:1]
 
@@ -69,12 +70,12 @@ class Design:
         return {key: values[place] for (key, values), place in zip(self.values.items(), places, strict=True)}
 
     def as_json(self) -> str:
-        """Return the whole design, as the same text for the same points."""
+        """Return the whole design as JSON. Equal designs give equal text."""
         return json.dumps({"kind": self.kind, "values": self.values})
 
 
 def grid(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
-    """Return every combination of the keys' values, the last key fastest.
+    """Return a grid: every combination of the values of the keys. The last key varies fastest.
 
     values: values by key; for the key of a vector, a sequence of tuples or an array of shape (n, m)
     Raises SceneError without keys, for a key without values or with equal values, and for more points than MOST_POINTS.
@@ -91,7 +92,7 @@ def grid(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
 
 
 def listed(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
-    """Return a list of points: the first has the first value of each key, and so on.
+    """Return a list of points. The first point has the first value of each key, and so on.
 
     Raises SceneError for keys without values or with different numbers of them.
     """
@@ -115,7 +116,7 @@ def random(values: Mapping[str, Range | Sequence[Any]], count: int, seed: int = 
 
 
 def sobol(values: Mapping[str, Range | Sequence[Any]], count: int, seed: int = 0) -> Design:
-    """Return scrambled Sobol points, which fill the ranges more evenly than random ones; best for a power of 2.
+    """Return scrambled Sobol points, which fill the ranges more evenly than random points. Best is a power of 2.
 
     Arguments and errors as `random`.
     """

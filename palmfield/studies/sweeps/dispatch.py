@@ -21,10 +21,11 @@ def computed(
 ) -> Generator[Results]:
     """Yield results of all batches as Dask workers return them; each worker has one batch at a time.
 
-    there: threads of the workers; todo: see `palmfield.studies.sweeps.batch.batches`
-    group, point: functions of the number of a point; points of a batch are of one group
-    If a worker dies, the points of its batch are tried again at the end, one by one, each alone on a worker. So a point
-    fails only if it kills its worker by itself.
+    there: threads of the workers
+    todo: see `palmfield.studies.sweeps.batch.batches`
+    group, point: functions of the number of a point; all points of a batch are in one group
+    If a worker dies, the points of its batch are computed again at the end. Each then runs alone on a worker. So a
+    point fails only if it kills its worker by itself.
     Raises PalmfieldError if the scheduler is lost.
     """
     from distributed import KilledWorker, as_completed
@@ -46,7 +47,7 @@ def computed(
         coming.add(future)
 
     def begin(slot: int) -> None:
-        """Submit the next batch of a thread; if its queue is empty, the last batch of the longest queue."""
+        """Submit the next batch of a thread. If its queue is empty, submit the last batch of the longest queue."""
         longest = max(queues, key=len)
         if queues[slot]:
             submit(queues[slot].popleft().points, slot)
@@ -83,7 +84,7 @@ def computed(
 
 
 def _present(client: Any, slots: Sequence[Slot], slot: int) -> Slot:
-    """Return a thread, or, if its worker is lost, a thread of the worker that replaces it."""
+    """Return a thread. If its worker is lost, return a thread of the worker that replaces it."""
     own = slots[slot]
     present = client.nthreads()
     used = {other.address for other in slots}

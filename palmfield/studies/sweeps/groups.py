@@ -1,7 +1,7 @@
 """Group the points of a sweep into worlds of one model, and choose the loads for which their layers are built.
 
-Both depend only on the design, not on the remaining points or on the workers. So an interrupted sweep continues with
-the same numbers.
+Both choices depend only on the design, not on the remaining points or the workers. So an interrupted sweep continues
+with the same numbers.
 """
 
 from collections import defaultdict
@@ -27,10 +27,12 @@ from palmfield.studies.sweeps.design import Design, Value
 from palmfield.studies.sweeps.keys import SceneKeys
 
 MANY_LOADS = 20
-"""Number of different loads on a skin from which modes for every load are considered: on a palm they take about 80
-s of one core to build, a reduced model 5 s."""
+"""Number of different loads on a skin from which modes for every load are considered.
+
+On a palm, modes take about 80 s of one core to build; a reduced model for one load takes 5 s.
+"""
 LOOKED_AT = 2000
-"""Largest number of points of a group that are examined for their requirements on a layer."""
+"""Largest number of points of a group that are examined for their requirements on the layer."""
 LEVEL = ("drive_amplitude", "arp_peak_Pa")
 """Keys of a stimulus that change only the level of its load."""
 
@@ -41,8 +43,9 @@ Keys = Mapping[str, Value | None]
 class Group:
     """Points that may be worlds of one model.
 
-    points: their numbers in the design; base: keys with which the MuJoCo model is built
-    shared: their layers and solvers, common to the group; None for a point that is simulated separately
+    points: their numbers in the design
+    base: keys with which the MuJoCo model is built
+    shared: layers and solvers that the group shares; None for a point that is simulated separately
     modes_bytes: approximate memory to make the modes
     """
 
@@ -55,8 +58,9 @@ class Group:
 def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, accuracy: float | None) -> list[Group]:
     """Split a design into groups, in the order of their first points.
 
-    Points that differ only in their stimuli form one group if they have MANY_LOADS different loads that modes
-    can compute, with one layer for the strictest of them. Else the loads of a group differ only in level.
+    Points that differ only in their stimuli form one group if they have at least MANY_LOADS different loads and modes
+    can compute all of them. The layer is then that of the point with the strictest requirements. Otherwise the loads of
+    a group differ only in level.
     """
     by_model: dict[object, dict[int, dict[str, Value]]] = defaultdict(dict)
     for number in range(design.count):
@@ -84,13 +88,13 @@ def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, 
 
 
 def _level(keys: Keys) -> float:
-    """Return the sum of the levels that a point sets, to find a point with sound."""
+    """Return the sum of the levels that a point sets. It is used to find a point with sound."""
     values = [value for full, value in keys.items() if full.rpartition(".")[2] in LEVEL]
     return sum(value for value in values if isinstance(value, int | float))
 
 
 def _plays_any_level(keys: SceneKeys, own: Mapping[int, Keys]) -> bool:
-    """Return whether the board does not round levels, so that such points differ only in level."""
+    """Return whether the board does not round levels. Only then do points with other levels differ only in level."""
     (first, *_) = own.values()
     boards = [
         str(first.get(f"{instance.name}.board", instance.keys.get("board")))
@@ -108,7 +112,7 @@ def _many_loads(
     device: str | None,
     accuracy: float | None,
 ) -> Group | None:
-    """Return points as one group whose skins use modes for every load; None if that is not possible."""
+    """Return the points as one group whose skins use modes for every load; None if that is not possible."""
     numbers = list(own)
     for number in (numbers[0], numbers[-1]):
         try:
@@ -145,7 +149,7 @@ def _pays(skin: SkinModel, points: int, duration_s: float) -> bool:
 
 
 def _looked_at(points: Mapping[int, Mapping[str, Value]]) -> list[int]:
-    """Return points that represent the requirements of all: all, or those with extreme values and some between."""
+    """Return points that represent the requirements of all: either all points, or extreme ones and some between."""
     numbers = list(points)
     if len(numbers) <= LOOKED_AT:
         return numbers
@@ -157,7 +161,7 @@ def _looked_at(points: Mapping[int, Mapping[str, Value]]) -> list[int]:
 
 
 def _demands(view: Preview, differing: Keys) -> list[LayerDemand] | None:
-    """Return the requirements of a point on the layer of each skin; None for silence and invalid keys."""
+    """Return the requirements of a point on the layer of each skin. None for silence and for invalid keys."""
     model = view.runtime.model
     by_instance: dict[str, dict[str, tuple[object, ...]]] = defaultdict(dict)
     for full, value in differing.items():
@@ -175,7 +179,7 @@ def _demands(view: Preview, differing: Keys) -> list[LayerDemand] | None:
 
 
 def in_words(groups: Sequence[Group]) -> str:
-    """Describe in a sentence which points share modes; "" if no points share them."""
+    """Describe, in a sentence, which points share modes; "" if no points share them."""
     many = [group for group in groups if group.shared is not None and group.shared.modal]
     if not many:
         return ""

@@ -21,7 +21,7 @@ _CONFIGS = {config.plugin: config for config in CONFIGS}
 
 
 class _Place(NamedTuple):
-    """One number or value that a key of a sweep sets. component: index in a vector, None for the whole value"""
+    """The value that a key of a sweep sets. component: index in a vector, None for the whole value"""
 
     instance: Instance
     key: str
@@ -35,9 +35,10 @@ def _may_differ(place: _Place) -> bool:
 
 @dataclass(frozen=True)
 class SceneKeys:
-    """Keys of a design and those that all its points share, checked against one scene.
+    """The keys of a design, and the keys that all its points share, checked against one scene.
 
-    instances: instances of the plugins of the scene; places: places by key, the value that it sets
+    instances: plugin instances of the scene
+    places: key -> the value that it sets
     fixed: values that all points share, by `INSTANCE.KEY`; None removes a key
     """
 
@@ -48,7 +49,7 @@ class SceneKeys:
     def of_point(self, point: Mapping[str, Value | None]) -> dict[str, Value | None]:
         """Return keys for `palmfield.Simulation` from the values of a point.
 
-        Raises SceneError for a component of a key that is not a vector or is shorter.
+        Raises SceneError for a component if the key is no vector or the vector is too short.
         """
         result: dict[str, Value | None] = dict(self.fixed)
         for key, value in point.items():
@@ -58,7 +59,7 @@ class SceneKeys:
         return result
 
     def of_model(self, point: Mapping[str, Value]) -> tuple[tuple[str, Value], ...]:
-        """Return the values that points of one model must share: all but those of stimuli that may differ."""
+        """Return the values that all points of one model must share. Values of stimuli that may differ are excluded."""
         own = {key: value for key, value in point.items() if not all(map(_may_differ, self.places[key]))}
         return tuple(sorted(own.items()))
 
@@ -98,7 +99,7 @@ def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | No
     """Check a design and the keys that all points share against a scene.
 
     Raises SceneError for a scene that cannot be read, unknown instances and keys, two keys that set the same value, and
-    values that are invalid whatever the other values are.
+    values that are invalid for all values of the other keys.
     """
     places: dict[str, tuple[_Place, ...]] = {}
     set_by: dict[tuple[str, str], list[tuple[str, int | None]]] = {}
@@ -127,7 +128,7 @@ def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | No
 
 
 def _check_value(place: _Place, value: Value | None) -> None:
-    """Raise SceneError for a value of a key that is invalid whatever the other values are."""
+    """Raise SceneError for a value of a key that is invalid for all values of the other keys."""
     config = _CONFIGS.get(place.instance.plugin)
     if config is None or value is None or place.component is not None:
         return

@@ -1,4 +1,4 @@
-"""Determine labels of the dimensions, times, size and memory of a sweep before it runs."""
+"""Determine, before a sweep runs, the labels of its dimensions, its times, size and memory."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,12 +22,15 @@ from palmfield.types import Float
 
 @dataclass(frozen=True)
 class Overview:
-    """Facts of a sweep. name: name of the scene; labels: see `palmfield.studies.sweeps.store.Labels`; times: times of
-    courses [s], shape (t,)
+    """Properties of a sweep.
 
-    duration_s: duration of each point [s]; device: device of the fields, "cpu" or "cuda:N"; memory_bytes: estimate for
-    a worker [bytes]
-    point_bytes: part of it for each further point as a world of the same simulation
+    name: name of the scene
+    labels: see `palmfield.studies.sweeps.store.Labels`
+    times: times of the time series [s], shape (t,)
+    duration_s: duration of each point [s]
+    device: device of the fields, "cpu" or "cuda:N"
+    memory_bytes: estimated memory of a worker [bytes]
+    point_bytes: memory of each further point that is a world of the same simulation [bytes]
     scene_digest: identifies the scene
     """
 
@@ -94,7 +97,7 @@ def _memory_bytes(view: Preview, records: int) -> int:
 
 
 def _point_bytes(view: Preview, records: int) -> int:
-    """Return the size of the state of the skins, and of motion of all vertices over the run in single precision."""
+    """Return the memory of the skin states, and of the recorded motion of all vertices in single precision."""
     layers = [skin.layer for skin in view.runtime.model.skins]
     return sum(8 * records * layer.mesh.surface_nodes + 8 * layer.state_room for layer in layers)
 

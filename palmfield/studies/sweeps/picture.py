@@ -1,4 +1,4 @@
-"""Draw a sweep: lines over one key, heat maps over two, points over each key otherwise."""
+"""Draw a sweep: lines for one key, heat maps for two keys, otherwise points over each key."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,9 +17,12 @@ MARKS = "osD^v"
 MOST_PANELS = 4
 """Largest number of keys over which points are drawn."""
 MOST_TICKS = 7
-"""Largest number of values that each get a label on an axis."""
+"""Largest number of values that all have a label on an axis."""
 SPACED = 3.0
-"""Axes of positive values are logarithmic if ratios of neighbours vary less than differences by this factor."""
+"""Ratio for the choice of a logarithmic axis of positive values.
+
+The axis is logarithmic if ratios of neighbours vary less than their differences, by this factor.
+"""
 
 
 class _Quantity(NamedTuple):
@@ -84,7 +87,7 @@ def _lines(dataset: xr.Dataset, key: str, quantities: list[_Quantity]) -> Figure
 
 
 def _maps(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> Figure:
-    """Draw one map for each quantity and skin; levels are for the first observer that has any."""
+    """Draw one map for each quantity and skin. Levels are those of the first observer that has levels."""
     skins = [str(name) for name in dataset["skin"].values]
     figure = Figure(figsize=(4.6 * len(quantities), 3.9 * len(skins) + 0.3), dpi=DPI, layout="constrained")
     panels = figure.subplots(len(skins), len(quantities), squeeze=False)
@@ -112,7 +115,7 @@ def _maps(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> 
 
 
 def _points(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> Figure:
-    """Draw each quantity over each key; in a grid, points with equal value differ in the other keys."""
+    """Draw each quantity over each key. In a grid, points with equal values differ in the other keys."""
     shown = keys[:MOST_PANELS]
     flat = dataset[[quantity.name for quantity in quantities]]
     if "point" not in dataset.dims:
@@ -137,7 +140,7 @@ def _points(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -
 
 
 def _curves(dataset: xr.Dataset, quantity: _Quantity) -> list[tuple[str, Float]]:
-    """Return label and values in the unit of the quantity of each skin and observer, along the remaining dimensions."""
+    """Return label and values of each skin and observer along the remaining dimensions, in the unit of the quantity."""
     values = dataset[quantity.name]
     skins = [str(name) for name in dataset["skin"].values]
     curves = []
@@ -170,7 +173,7 @@ def _finite(values: xr.DataArray) -> bool:
 
 
 def _places(dataset: xr.Dataset, key: str) -> tuple[Float, list[str]]:
-    """Return the positions of the values of a key on an axis, and their names if they are texts."""
+    """Return the positions of the values of a key on an axis; if the values are texts, also their names."""
     values = dataset[key].values
     if values.dtype.kind in "fiu":
         return values.astype(float), []
@@ -181,7 +184,7 @@ def _places(dataset: xr.Dataset, key: str) -> tuple[Float, list[str]]:
 
 
 def _edges(places: Float) -> Float:
-    """Return borders of cells around positions; outer cells are as wide as their neighbours."""
+    """Return the borders of cells around positions. Outer cells are as wide as their neighbours."""
     if len(places) == 1:
         width = abs(places[0]) or 1.0
         return np.array([places[0] - 0.5 * width, places[0] + 0.5 * width])

@@ -1,4 +1,4 @@
-"""Results that a sweep stores for one point: numbers of a run, and a few quantities over time."""
+"""Results that a sweep stores for one point: numbers of a run, and a few time series."""
 
 import math
 import time
@@ -155,9 +155,10 @@ def sensor_names(scene: Simulation | Preview) -> list[str]:
 
 
 def measured(simulation: Simulation, duration_s: float, times: Float, errors: bool) -> list[Numbers]:
-    """Run a simulation and return the numbers of its worlds; each world is a point.
+    """Run a simulation and return the numbers of its worlds. Each world is a point.
 
-    duration_s: simulated time [s]; times: times of courses, from the start of the run [s], shape (t,)
+    duration_s: simulated time [s]
+    times: times of the time series, from the start of the run [s], shape (t,)
     errors: whether the error of the displacement is estimated, which takes longer than most runs
     Raises SceneError and DeviceError of the run.
     """
@@ -241,9 +242,11 @@ def _estimate(watched: Watched, world: int, number: int) -> tuple[float, str]:
 
 
 def resampled(own: Float, values: Float, times: Float) -> Float:
-    """Resample a time series by a cubic spline; at its own times the values are unchanged.
+    """Resample a time series by a cubic spline. At its own times the values are unchanged.
 
-    own, times: rising, shapes (n,) and (t,); values: shape (n,). NaN after the last of `own`.
+    own, times: rising times, shapes (n,) and (t,)
+    values: shape (n,)
+    The result is NaN after the last of `own`.
     """
     if len(own) == len(times) and np.allclose(own, times, rtol=0.0, atol=1e-9):
         return values

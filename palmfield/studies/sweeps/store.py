@@ -142,7 +142,7 @@ class SweepStore:
     """
 
     def __init__(self, out: Path, design: Design, labels: Labels, attributes: Mapping[str, Any], errors: bool) -> None:
-        """Make the dataset in a folder, or open the one of an interrupted run of the same sweep.
+        """Create the dataset in a folder, or open that of an interrupted run of the same sweep.
 
         attributes: attributes of the dataset; the mapping `identity` among them identifies the sweep
         Raises OutputError if the folder cannot be written, or contains another sweep.
@@ -197,7 +197,7 @@ class SweepStore:
         self.status[index] = DONE
 
     def _write_courses(self, results: Mapping[int, Numbers | Failed]) -> None:
-        """Write time series to the disk, neighbours in the design together, so that Zarr works in parallel."""
+        """Write time series to the disk. Neighbouring points are written together, so that Zarr works in parallel."""
         done = {number: result for number, result in sorted(results.items()) if not isinstance(result, Failed)}
         runs: list[list[int]] = []
         for number in done:
@@ -215,7 +215,7 @@ class SweepStore:
                     self._groups[name][place] = np.stack([done[number][name] for number in run])
 
     def _flush(self, rows: Sequence[int]) -> None:
-        """Write the data in memory for these rows of the first dimension."""
+        """Write the data in memory for some rows of the first dimension."""
         length = _rows_a_chunk(self.design)
         for chunk in sorted({row // length for row in rows}):
             part = slice(chunk * length, (chunk + 1) * length)
@@ -227,7 +227,7 @@ class SweepStore:
     # -- making and opening ----------------------------------------------------------------------------------------
 
     def _make(self, labels: Labels, attributes: Mapping[str, Any]) -> None:
-        """Make the dataset without points; it gets its final name when it is complete."""
+        """Create the dataset without points. It gets its final name when it is complete."""
         import dask.array
 
         arrays: dict[str, xr.Variable] = {}
@@ -321,7 +321,7 @@ def _rows_a_chunk(design: Design) -> int:
 
 
 def _is_course(variable: Variable) -> bool:
-    """Return whether a variable has many numbers over time for each point."""
+    """Return whether a variable is a time series for each point."""
     return bool(set(variable.dims) & set(COURSES))
 
 
@@ -334,7 +334,7 @@ def _type(variable: Variable) -> np.dtype[Any]:
 
 
 def _column(values: Sequence[Any]) -> NDArray[Any]:
-    """Return the values of one key as a coordinate: numbers, or texts if any value is a text or a vector."""
+    """Return the values of one key as a coordinate. They are numbers, or texts if any value is a text or a vector."""
     if all(isinstance(value, int | float) for value in values):
         return np.array(values, dtype=float)
     words = [" ".join(f"{part:.12g}" for part in value) if isinstance(value, tuple) else str(value) for value in values]

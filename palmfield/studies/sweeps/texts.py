@@ -30,8 +30,8 @@ def read_design(
 
     A shared key with value None is removed from the scene.
 
-    settings: KEY=VALUES, see FORMS, or DRAWN_FORMS with random_points or sobol_points
-    table: CSV file with keys in its first line and a row for each point; settings then give the shared keys
+    settings: KEY=VALUES, in one of FORMS; with random_points or sobol_points in one of DRAWN_FORMS
+    table: CSV file with keys in its first line and a row for each point; settings then define the shared keys
     Raises SceneError for an invalid text, an empty range, a repeated key, or several kinds of design at once.
     """
     kinds = [random_points is not None, sobol_points is not None, table is not None]
@@ -69,7 +69,7 @@ def read_design(
 
 
 def _values(key: str, text: str, drawn: bool) -> list[Value] | Range | Value:
-    """Parse a text: several values, a range of random values, or one value."""
+    """Parse a text: several values, a range for random values, or one value."""
     parts = text.split(":")
     logarithmic = len(parts) > 2 and parts[-1] == "log"
     numbers = parts[:-1] if logarithmic else parts
@@ -106,7 +106,7 @@ def _range(key: str, text: str, parts: list[str], logarithmic: bool, drawn: bool
 
 
 def _number(word: str) -> Value:
-    """Parse a number, numbers separated by spaces as a vector, else return the text."""
+    """Parse a number, or numbers separated by spaces as a vector. Other text is returned unchanged."""
     try:
         parts = tuple(float(part) for part in word.split())
     except ValueError:

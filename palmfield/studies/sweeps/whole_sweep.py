@@ -44,13 +44,13 @@ from palmfield.threads import cores
 LOG = logging.getLogger("palmfield.studies")
 LARGE_BYTES = 2e9
 LONG_S = 3600.0
-"""A sweep longer than this needs confirmation."""
+"""Predicted duration above which a sweep needs confirmation [s]."""
 SURE_BATCHES = 2
-"""Number of batches of each worker after which the remaining time is predicted; the first one builds the model."""
+"""Number of batches of each worker after which the remaining time is predicted. The first batch builds the model."""
 SURE_S = 120.0
-"""Time after which it is predicted in any case, if at least one point is done [s]."""
+"""Time after which the remaining time is predicted in any case, if at least one point is done [s]."""
 MOST_PER_GPU = 8
-"""Largest number of workers that share a GPU: while it computes for one, the others prepare tasks in Python."""
+"""Largest number of workers that share a GPU. While it computes for one, the others prepare tasks in Python."""
 PICTURE = "sweep.png"
 EXTRA = ("dask", "distributed", "zarr")
 
@@ -61,8 +61,10 @@ Ask = Callable[[str], bool]
 class Sweep:
     """Result of a sweep.
 
-    out: its folder; files: paths by name; points, done: numbers of all and of completed points
-    failed: reasons of failed points, by number in the design
+    out: folder of the sweep
+    files: paths of its files by name
+    points, done: number of all points, and of completed points
+    failed: reasons why points failed, by number in the design
     """
 
     out: Path
@@ -74,7 +76,7 @@ class Sweep:
 
     @property
     def dataset(self) -> xr.Dataset:
-        """Numbers of all points, opened at first use and read lazily."""
+        """Numbers of all points. The dataset is opened at the first use and read lazily."""
         if not self._opened:
             self._opened.append(open_dataset(self.files["sweep.zarr"]))
         return self._opened[0]
@@ -101,17 +103,20 @@ def sweep(
 
     palmfield.sweep("palm.xml", {"stimulus.am_frequency_Hz": [50, 100, 200]}, "out/frequencies")
 
-    scene: a file; design: values by key for every combination of them, or one of `palmfield.studies.sweeps`: `grid`,
-        `listed`, `random`, `sobol`. Keys are INSTANCE.KEY or PLUGIN.KEY, or one number of a vector, such as
-        "stimulus.focus_m[0]"; keys: values that all points share, None removes a key from the scene
-    out: folder, created if missing; an interrupted sweep in it continues, and failed points are tried again
-    workers: processes on this machine, by default as many as cores and memory allow, at most 8 for each GPU; 0 computes
-        in this process, without Dask
+    scene: a file
+    design: values by key, of which every combination is a point; or a result of `grid`, `listed`, `random` or `sobol`
+        of `palmfield.studies.sweeps`. Keys are INSTANCE.KEY or PLUGIN.KEY, or one number of a vector, such as
+        "stimulus.focus_m[0]"
+    keys: values that all points share; None removes a key from the scene
+    out: folder, created if missing; an interrupted sweep in it continues, and failed points are computed again
+    workers: number of processes on this machine; by default as many as cores and memory allow, at most 8 for each GPU;
+        0 computes in this process, without Dask
     scheduler: address of a running Dask cluster, instead of workers; its workers must be able to read the scene
-    device, accuracy: see `palmfield.load`; duration_s: duration of each point [s], that of the scene by default
+    device, accuracy: see `palmfield.load`
+    duration_s: duration of each point [s], by default that of the scene
     errors: whether the error of each point is estimated, which takes longer than most runs
     picture: whether a picture is drawn; progress: whether a progress bar is shown on the standard error of a terminal
-    yes: whether a sweep of more than 2 GB or an hour needs no confirmation; else `ask` is called with a question
+    yes: whether a sweep of more than 2 GB or an hour needs no confirmation; otherwise `ask` is called with a question
     After Ctrl-C, a full disk or loss of workers the results so far are kept, and the same call continues. A failed
     point is recorded.
     Raises SceneError for invalid keys and values before anything runs; PalmfieldError for a cluster that cannot be
@@ -181,9 +186,10 @@ def _check_arguments(scene: str | Path, workers: int | None, scheduler: str | No
 
 
 def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int, on_gpu: int) -> int:
-    """Return the number of processes: as requested, else limited by cores, memory and GPUs.
+    """Return the number of processes: the requested number, or else as many as cores, memory and GPUs allow.
 
-    memory: estimate for a worker, in host and GPU memory; on_gpu: free memory of each GPU [bytes]
+    memory: estimated memory of a worker, on host and GPU [bytes]
+    on_gpu: free memory of each GPU [bytes]
     """
     if workers is not None:
         return workers
@@ -204,7 +210,7 @@ def _memory_bytes(view: Overview, groups: Sequence[Group], most: int) -> int:
 
 
 def _in_words(view: Overview, design: Design, size: int, memory_bytes: int, workers: int | None) -> str:
-    """Describe a sweep before it begins."""
+    """Describe a sweep in words before it begins."""
     counts = " x ".join(str(length) for length in design.shape)
     several = f" ({counts})" if len(design.shape) > 1 else ""
     memory = f"{memory_bytes / 1e9:.1f} GB of memory"
@@ -256,9 +262,9 @@ def _attributes(
 
 @dataclass(frozen=True)
 class _Points:
-    """Numbers of the missing points of a sweep, and the group and keys of each.
+    """Numbers of the missing points of a sweep, with the group and the keys of each.
 
-    most: points in a batch
+    most: largest number of points in a batch
     """
 
     missing: Sequence[int]
@@ -272,7 +278,7 @@ class _Points:
         return {number: place for place, group in enumerate(self.groups) for number in group.points}
 
     def batches(self, workers: int) -> list[Batch]:
-        """See `palmfield.studies.sweeps.batch.batches`."""
+        """Return batches of points, see `palmfield.studies.sweeps.batch.batches`."""
         return batches(self.missing, self._group_of, workers, self.most)
 
     def group(self, number: int) -> Group:
@@ -307,7 +313,7 @@ def _collect(
     yes: bool,
     ask: Ask | None,
 ) -> None:
-    """Write results as they come and show progress; ask once for confirmation if the remaining time is long."""
+    """Write results as they arrive, and show progress. If the remaining time is long, ask once for confirmation."""
     done, failed, written, confirmed, started = 0, 0, 0, yes, time.monotonic()
     with bars(progress, MofNCompleteColumn()) as bar:
         row = bar.add_task("starting workers", total=points)

@@ -29,9 +29,11 @@ MOST_AHEAD = 10_000
 
 
 class Frames(NamedTuple):
-    """Moving coordinate frames relative to the first array: those of the stimuli, then those of the bodies.
+    """Moving frames relative to the first array: those of the stimuli, then those of the bodies.
 
-    positions: [m], shape (m, 3); rotations: axes as columns, shape (m, 3, 3); quaternions: the same, w first, (m, 4)
+    positions: [m], shape (m, 3)
+    rotations: axes as columns, shape (m, 3, 3)
+    quaternions: the same rotations, w first, shape (m, 4)
     """
 
     positions: Float
@@ -40,16 +42,18 @@ class Frames(NamedTuple):
 
 
 class SceneCourse:
-    """Poses at MuJoCo's steps, interpolated linearly; constant before the first and after the last.
+    """Poses at MuJoCo's steps, interpolated linearly. They are constant before the first step and after the last.
 
-    model: model of the scene; step_s: time between poses [s]; end_s: time of the last one [s]; refused: reason of an
-    early end
+    model: model of the scene
+    step_s: time between poses [s]
+    end_s: time of the last pose [s]
+    refused: reason of an early end
     """
 
     def __init__(self, view: Preview, duration_s: float, *, as_far_as_it_goes: bool = False) -> None:
         """Step a copy of the scene without its skins. Raises the errors of modules in a step.
 
-        as_far_as_it_goes: end without an error if the hand reaches into the array, as a tracked hand may
+        as_far_as_it_goes: whether to end without an error if the hand reaches into the array, as a tracked hand may
         """
         self.refused = ""
         self.step_s = view.runtime.spec.timestep_s
@@ -88,7 +92,10 @@ class SceneCourse:
         return Frames(positions, matrices(quaternions), quaternions)
 
     def posed(self, time_s: float, frames: Frames | None = None) -> PosedScene:
-        """Return the scene at a time [s], or with other frames. Obstacles are omitted: foci do not need them."""
+        """Return the scene at a time [s], or with other frames.
+
+        Obstacles are omitted, because foci do not need them.
+        """
         row, _ = self._place(time_s)
         positions, rotations, _ = self.frames(time_s) if frames is None else frames
         of_stimuli = len(self.model.stimuli)

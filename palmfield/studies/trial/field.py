@@ -22,16 +22,18 @@ from palmfield.studies.trial.sending import Drives
 from palmfield.types import Complex, Float
 
 GOOD_RAD = 1.0
-"""Largest mean phase error of a sound that has a focus [rad]."""
+"""Largest phase error [rad] at which a sound counts as a focus."""
 LEAST_LEVEL = 0.3
-"""Pressures are compared if the level is at least this fraction of that of the loudest frame."""
+"""Smallest level at which pressures are compared, relative to the level of the loudest frame."""
 
 
 class Pressures(NamedTuple):
-    """Pressure amplitude at the target position on the hand [Pa], at full level.
+    """Pressure amplitudes at the target position on the hand [Pa], at full level.
 
-    target: drive for the true position; late: drive for the estimated position; rounded: the same after rounding by
-    the board; played: the same with the true transducers
+    target: with the drive for the true position
+    late: with the drive for the estimated position
+    rounded: as late, after rounding by the board
+    played: as rounded, with the true transducers
     """
 
     target: float
@@ -42,11 +44,14 @@ class Pressures(NamedTuple):
 
 @dataclass(frozen=True)
 class TrialMoment:
-    """Results at one time of a trial.
+    """Results at one time of a trial. Positions are in the array frame, shape (3,).
 
-    true: position of the focus on the hand [m]; believed: its position estimated from the tracker; sounding: position
-        of the focus of the sound, NaN if there is none; array frame, shapes (3,)
-    age_s: time since the sample of this sound [s]; frame: its number; level: mean amplitude of the drive, 0..1
+    true: position of the focus on the hand [m]
+    believed: its position as estimated from the tracker [m]
+    sounding: position of the focus of the sound [m], NaN if there is no focus
+    age_s: time since the tracker sample of this sound [s]
+    frame: number of the frame
+    level: mean amplitude of the drive, 0 to 1
     pressures: pressures at `true`, NaN if the level is too low to compare
     """
 
@@ -63,7 +68,7 @@ class TrialMoment:
 class TrueSound:
     """The sound of a trial over time.
 
-    number: number of the followed stimulus; its first focus if it has several
+    number: number of the followed stimulus; if it has several foci, the first is used
     flight: whether the flight time of sound to the hand is included
     """
 
@@ -77,8 +82,7 @@ class TrueSound:
         share: Callable[[float], float] = lambda due_s: 1.0,
     ) -> None:
         """truth: true properties of the transducers of the only array; None: those of the scene
-
-        share: amplitude factor of a frame due at a time [s], from the ramp of the driver
+        share: function that returns the amplitude factor of a frame due at a time [s], from the ramp of the driver
         Raises SceneError for a truth with several arrays or another layout.
         """
         self.course, self.number, self.flight, self.share = course, number, flight, share
@@ -116,13 +120,13 @@ class TrueSound:
         return math.dist(focus.tolist(), self._middle) / self.speed_m_s
 
     def focus(self, posed_s: float, due_s: float) -> Float:
-        """Return the position at `posed_s` of the focus that is due at `due_s` [s], array frame [m], shape (3,)."""
+        """Return the focus that is due at `due_s`, for the pose at `posed_s` [s], array frame [m], shape (3,)."""
         return focus_in(self.model, self.number, self.course.posed(posed_s), due_s)
 
     def ideal(self, time_s: float, due_s: float) -> Complex:
-        """Return the drive due at `due_s` for the true hand at `time_s`, without limits of a board, shape (N,).
+        """Return the drive due at `due_s` for the true hand at `time_s`, without the limits of a board, shape (N,).
 
-        Return silence if no focus is possible, for instance for a live hand behind the array.
+        It is silent if no focus is possible, for instance for a live hand behind the array.
         """
         try:
             return self.share(due_s) * self._exact.target(self.course.posed(time_s), due_s)
@@ -157,7 +161,7 @@ class TrueSound:
         return TrialMoment(time_s, true, believed, sounding, age_s, sent.number, level, Pressures(*pressures))
 
     def _sounding(self, arrays: PhasedArray, amplitudes: Complex, near: Float) -> Float:
-        """Fit a focus to the sound, near the target; with several arrays, use the first."""
+        """Fit a focus to the sound near the target. With several arrays, the first one is used."""
         last = self._fitted
         if last is not None and last[0] is amplitudes:
             return last[1]
@@ -172,7 +176,10 @@ class TrueSound:
 
 
 def focus_in(model: HapticModel, number: int, posed: PosedScene, due_s: float) -> Float:
-    """Return the (first) focus of a stimulus due at a time [s] in a pose, array frame [m], shape (3,)."""
+    """Return the focus of a stimulus that is due at a time [s] in a pose, array frame [m], shape (3,).
+
+    If the stimulus has several foci, return the first.
+    """
     part = model.stimuli[number]
     points, _ = frames_at(part.config, np.array([due_s]))
     focus: Float = np.atleast_2d(posed.focal_points(part, number).at(points[0]))[0]
@@ -185,7 +192,7 @@ def last_due(due_times: Sequence[float], time_s: float) -> float:
 
 
 def same_level(truth: Calibration, modelled: Calibration | None) -> Calibration:
-    """Return a true calibration with the p0 of the scene, so that an error of p0 is not counted as a loss."""
+    """Return a true calibration with the p0 of the scene. An error of p0 then does not count as a loss."""
     return truth.model_copy(update={"p0": None if modelled is None else modelled.p0})
 
 

@@ -1,4 +1,4 @@
-"""Measure the time from a tracker sample to the resulting sound, by a loop on this machine."""
+"""Measure the time from a tracker sample to the resulting sound, in a loop on this machine."""
 
 import subprocess
 import sys
@@ -22,21 +22,23 @@ from palmfield.studies.trial.sending import Drives
 from palmfield.types import Float
 
 LINE_SHARE = 0.95
-"""Used fraction of the frame rate of the line: on a full line a delay would persist."""
+"""Used fraction of the largest frame rate of the line. On a full line a delay would never decrease."""
 LEAD_S = 1.0
-"""Samples are sent for this time before and after the loop."""
+"""Time before and after the loop in which samples are also sent [s]."""
 ALLOWED_S = 0.040
-"""Delay of touch after movement that users notice (quoted by Hasegawa & Shinoda 2018)."""
+"""Delay of touch after movement that users notice [s] (quoted by Hasegawa & Shinoda 2018)."""
 TRACKERS_OWN_S = 0.008, 0.011
 
 
 @dataclass(frozen=True)
 class Latency:
-    """Time from the sending of a sample until the board emits its frame, statistics over a loop.
+    """Statistics of the time from the sending of a sample until the board emits its frame, over a loop.
 
-    frames, dropped: numbers of sent frames, and of frames due but not sent; samples: number received
-    p50_ms, p95_ms, largest_ms: median, 95th percentile and largest latency [ms]; fit_ms: median time to fit the hand
-    to a sample [ms]
+    frames: number of sent frames
+    dropped: number of frames that were due but not sent
+    samples: number of received samples
+    p50_ms, p95_ms, largest_ms: median, 95th percentile and largest latency [ms]
+    fit_ms: median time to fit the hand to a sample [ms]
     line_ms: time of a frame on the line [ms]
     """
 
@@ -81,8 +83,8 @@ def measure_latency(
 ) -> Latency:
     """Send the motion of the hand of a scene from another process, and let a virtual board follow it.
 
-    Samples carry their sending time on the clock that both processes share. Raises SceneError for a scene
-    without a moving hand, DeviceError for a board without a line.
+    Each sample has its sending time, on the clock that both processes share. Raises SceneError for a scene without a
+    moving hand, and DeviceError for a board without a line.
     """
     if not 0.2 <= seconds <= 600.0:
         raise SceneError(f"--seconds has value {seconds:g}; allowed: 0.2 to 600")
@@ -147,7 +149,7 @@ def latencies(played: LivePlayed, board: Board) -> Float:
 
 
 def scene_stream(view: Preview, rate_Hz: float, seconds: float) -> Stream:
-    """Return samples without errors, z up, of the hand of a scene, whose motion runs forwards and backwards."""
+    """Return error-free samples, z up, of the hand of a scene. Its motion runs forwards and backwards."""
     scene = LiveScene(view)
     times = np.arange(0.0, seconds, 1.0 / rate_Hz)
     # Forwards and backwards, so that it repeats without a jump

@@ -31,8 +31,8 @@ class LivePlayed:
 
     motion: name of the scene's palmfield.motion; stream: valid samples in the tracker frame
     start_s: time 0 of the tracker, in the time of the trial [s]
-    notes: notes on the samples (with the first invalid ones), on the fit of the hand, and on silent frames
-    times: when frames were due [s]
+    notes: remarks on the samples (with the first invalid ones), on the fit of the hand, and on silent frames
+    times: times at which frames were due [s]
     """
 
     sent: Sent
@@ -57,10 +57,12 @@ def play_live(
     """Let a board follow a tracked hand for `duration_s` [s], in real time.
 
     tracker: latency and extrapolation of the tracker; if ahead_s is None, positions are extrapolated to the middle of
-    the frame
-    number: number of the followed stimulus; port: port of a board, by default a virtual one
-    While the hand is lost frames are silent. Ctrl-C ends it early. Raises SceneError if no hand is seen in time, or a
-    hand of the other side; DeviceError for an address or a port that cannot be opened.
+        the frame
+    number: number of the followed stimulus
+    port: port of a board, by default a virtual board
+    While the tracker has lost the hand, frames are silent. Ctrl-C ends the play early. Raises SceneError if no sample
+    of a hand arrives in time, and for a hand of the other side. Raises DeviceError for an address or a port that cannot
+    be opened.
     """
     scene = LiveScene(view)
     runtime = scene.runtime

@@ -1,9 +1,9 @@
 """Compare a recording of a microphone or vibrometer with the result of a trial at its position.
 
 The CSV file has head lines `# quantity: pressure`, `# unit: Pa`, `# place_m: 0 0 0.15`, then `t,value` and rows with t
-in seconds. pressure is the peak amplitude of the carrier at the position; displacement and velocity are those of the
-skin along its outward normal, at its point nearest to place_m as the trial begins. place_m is in the frame of the
-array.
+in seconds. The quantity pressure is the peak amplitude of the carrier at the position. Displacement and velocity are
+those of the skin along its outward normal, at the point nearest to place_m when the trial begins. place_m is in the
+frame of the array.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ FEWEST = 16
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording. times: [s], shape (n,), rising; values: [Pa, m or m/s], shape (n,); place_m: array frame [m]"""
+    """A recording. times: rising times [s], shape (n,); values: [Pa, m or m/s], shape (n,); place_m: array frame [m]"""
 
     quantity: Quantity
     times: Float
@@ -51,10 +51,13 @@ class Recording:
 class Compared:
     """A recording compared with the computed signal at its position, aligned in time.
 
-    shift_s: delay of the recording relative to the computed signal; overlap_s: time for which both exist
-    rms: rms of the difference, relative to the rms of the computed signal; correlation: without means
-    ratio: recorded over computed amplitude, by least squares; band: range of the ratio for all p0 within its range if
-        all other parameters are right (ARP and motion are quadratic in p0)
+    shift_s: delay of the recording relative to the computed signal [s]
+    overlap_s: duration for which both signals exist [s]
+    rms: rms of the difference, relative to the rms of the computed signal
+    correlation: correlation of both signals without their means
+    ratio: recorded divided by computed amplitude, by least squares
+    band: expected range of the ratio due to the range of p0, if all other parameters are right (ARP and motion are
+        quadratic in p0)
     """
 
     name: str
@@ -135,7 +138,10 @@ def _recording(lines: list[str], name: str) -> Recording:
 def compare(
     recording: Recording, moments: Sequence[TrialMoment], sound: TrueSound, drives: Drives, skin: SkinResponse | None
 ) -> Compared:
-    """Compare a recording with the same quantity of a trial. Raises SceneError for motion of a skin without steps."""
+    """Compare a recording with the same quantity of a trial.
+
+    Raises SceneError for skin motion if no skin was stepped.
+    """
     if recording.quantity == "pressure":
         times = np.array([one.time_s for one in moments])
         values = _pressures(times, np.array(recording.place_m), sound, drives)
@@ -174,7 +180,7 @@ def aligned(
 ) -> tuple[float, float, float, float, float]:
     """Return shift [s], overlap [s], relative rms difference, correlation and ratio of a recorded to a computed signal.
 
-    The shift maximises the correlation without means; its limit is SHIFT times the length of the recording.
+    The shift maximises the correlation without means. The largest shift is SHIFT times the length of the recording.
     Raises SceneError if they overlap too little, or if one of them is constant.
     """
     step = max(float(np.median(np.diff(computed_times))), float(np.median(np.diff(times)))) / 4.0

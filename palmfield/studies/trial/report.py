@@ -23,7 +23,7 @@ COLUMNS = (
 
 
 class Spread(NamedTuple):
-    """Spread of values over a trial; NaN if there are none."""
+    """Spread of values over a trial; NaN if there are no values."""
 
     mean: float
     p95: float
@@ -31,7 +31,7 @@ class Spread(NamedTuple):
 
 
 class Share(NamedTuple):
-    """Remaining fraction of the pressure at the hand (1: no loss): mean over the trial, and minimum."""
+    """Remaining fraction of the pressure at the hand (1: no loss): mean and minimum over the trial."""
 
     mean: float
     least: float
@@ -41,15 +41,16 @@ class Share(NamedTuple):
 class Numbers:
     """A trial in numbers.
 
-    lateral_mm, depth_mm, distance_mm: distance of the focus from its target on the hand: across the axis of the array,
-        along it, and in total; without_focus: fraction of times at which the sound has no focus
+    lateral_mm, depth_mm, distance_mm: distance of the focus from its target on the hand, across the axis of the array,
+        along it, and in total
+    without_focus: fraction of times at which the sound has no focus
     age_ms: time since the tracker sample from which the sound at the hand was computed
-    kept_late, kept_rounded, kept_calibration, kept: remaining fraction of the pressure at the hand due to latency, to
-        rounding by the board, to the true transducers, and to all three; ARP is quadratic in them; kept_calibration
-        is None without data on the true transducers
+    kept_late, kept_rounded, kept_calibration: fraction of the pressure at the hand that remains after latency, after
+        rounding by the board, and with the true transducers; kept: after all three. ARP is quadratic in these.
+        kept_calibration is None without data on the true transducers
     wanted_Pa: mean pressure amplitude at the hand without losses, at full level
-    push_um, push_ideal_um: rms displacement of the skin at the focus of the beginning of the trial, with and without
-        losses; None if the skin was not stepped
+    push_um, push_ideal_um: rms displacement of the skin at the first position of the focus, with and without losses;
+        None if the skin was not stepped
     """
 
     scene: str
@@ -111,7 +112,7 @@ def numbers_of(
     truth: Calibration | None,
     notes: Sequence[str] = (),
 ) -> Numbers:
-    """Compute the numbers of a trial; for arguments see `palmfield.studies.trial.run.Trial` and `trial`."""
+    """Compute the numbers of a trial. The arguments are those of `palmfield.studies.trial.run.Trial` and `trial`."""
     names, rows = table_of(moments, None)
     column = dict(zip(names, rows.T, strict=True))
     lateral, depth = 1e3 * column["lateral_error_m"], 1e3 * np.abs(column["depth_error_m"])
@@ -171,7 +172,7 @@ def _share(after: Float, before: Float) -> Share:
 
 
 def table_of(moments: Sequence[TrialMoment], skin: SkinResponse | None) -> tuple[tuple[str, ...], Float]:
-    """Return names of columns and a row for each time, shape (k, columns); NaN for a skin that was not stepped."""
+    """Return the column names, and a row for each time, shape (k, columns). Columns of a skin not stepped are NaN."""
     rows = []
     for one in moments:
         miss = one.sounding - one.true

@@ -1,4 +1,4 @@
-"""Run a trial of a scene: hand, tracker, focus, bytes, board, sound at the true hand, and skin."""
+"""Run a trial of a scene: hand, tracker, focus, bytes, board, sound at the true hand, and motion of the skin."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping
@@ -46,9 +46,13 @@ FILES = "sent.jsonl", "course.csv", "trial.json", "trial.png"
 class Trial:
     """Result of a trial.
 
-    numbers: numbers of the whole trial; moments: results over time; sent: frames sent to the board
+    numbers: numbers of the whole trial
+    moments: results over time
+    sent: frames sent to the board
     skin, skin_ideal: motion of the skin with and without latency, rounding and calibration error, None if not requested
-    compared: comparison with a recording; files: written, by name; interrupted: whether Ctrl-C ended it early
+    compared: comparison with a recording
+    files: written files by name
+    interrupted: whether Ctrl-C ended the trial early
     """
 
     numbers: Numbers
@@ -84,15 +88,15 @@ def trial(
     overwrite: bool = False,
     progress: bool = False,
 ) -> Trial:
-    """Simulate tracker, board and hand of a scene in closed loop, and report error of the focus and loss of pressure.
+    """Simulate tracker, board and hand of a scene in closed loop. Report the focus error and the loss of pressure.
 
     board, keys: as in `palmfield.load`; port: as in `palmfield.studies.trial.sending.send`
-    tracker: simulated tracker (default: 90 Hz, 10 ms late, predicted to the middle of each frame)
-    live: source of tracker samples that replace the motion of the scene; always in real time
+    tracker: simulated tracker (default: 90 Hz, latency 10 ms, extrapolation to the middle of each frame)
+    live: source of tracker samples that replace the motion of the scene; the trial then runs in real time
     truth: calibration file of the true transducers, if they differ from the scene
     skin: whether the skin is stepped; flight: whether the flight time of sound to the hand is included
     out: folder for FILES, created if missing; None: no files
-    Ctrl-C ends it early with the results so far (`interrupted`). Raises SceneError for an invalid scene. Raises
+    Ctrl-C ends the trial early with the results so far (`interrupted`). Raises SceneError for an invalid scene. Raises
     DeviceError if the board cannot play it or is lost, and, with a port, if the sound at a head would exceed the key
     head_limit_dB. Raises OutputError if the folder contains another trial.
     """
@@ -137,9 +141,10 @@ def trial(
 
 
 class _Done(NamedTuple):
-    """Frames sent, and the course for which they were sent. times: when frames were due [s]; notes: notes on the
-    tracker
+    """Frames sent, and the motion of the scene for which they were sent.
 
+    times: times at which frames were due [s]
+    notes: remarks on the tracker
     keys: keys with which the scene repeats its motion
     """
 
@@ -151,7 +156,10 @@ class _Done(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """Settings of a trial; see `trial`. log: log of frames; show_stage: shows the task and its progress"""
+    """Settings of a trial; see `trial`.
+
+    log: log of frames; show_stage: function that shows the present task and progress
+    """
 
     tracker: Tracker
     duration_s: float
@@ -202,7 +210,7 @@ def _followed(
 
 
 def _share(model: HapticModel, duration_s: float) -> Callable[[float], float]:
-    """Return the ramp factor of the driver for all amplitudes at a time of the trial [s]."""
+    """Return the function that gives the ramp factor of the driver for all amplitudes at a time of the trial [s]."""
     limits = SoundLimits.of(model.spec.driver)
     return lambda time_s: limits.share(model.board, time_s, duration_s)
 
@@ -210,7 +218,7 @@ def _share(model: HapticModel, duration_s: float) -> Callable[[float], float]:
 def _maker(
     course: SceneCourse, sound: TrueSound, estimator: PoseEstimator, times: list[float], duration_s: float
 ) -> Callable[[float, float], MadeFrame]:
-    """Return the function that makes each frame from the estimate at its time."""
+    """Return the function that makes each frame from the estimated pose at its time."""
     frames, afterwards = (Frames(course.model, Emission(course.model)) for _ in range(2))
     exact = course.model.board.exact
     ends = np.append(times[1:], duration_s)
@@ -239,7 +247,7 @@ def _moments(course: SceneCourse, duration_s: float) -> list[float]:
 
 
 def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
-    """Return the times at which frames are due [s]; for a board without limits, those of `_moments`."""
+    """Return the times at which frames are due [s]. For a board without limits they are those of `_moments`."""
     if board.exact and course.moves:
         return _moments(course, duration_s)
     ramp = SoundLimits.of(course.model.spec.driver).ramp_times(board, duration_s)
@@ -250,7 +258,7 @@ def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
 def _course(
     sent: Sent, moments_s: list[float], times: list[float], drives: Drives, sound: TrueSound, show_stage: "ShowStage"
 ) -> list[TrialMoment]:
-    """Compute the sound at the hand over the trial so far; Ctrl-C keeps the computed part."""
+    """Compute the sound at the hand for the trial so far. After Ctrl-C, the computed part is kept."""
     loudest = max((level_of(one.frame.target) for one in sent.frames), default=0.0)
     moments = []
     show_stage("computing the sound at the hand", moments_s[-1] if moments_s else None)
@@ -278,7 +286,7 @@ def _skins(
     truth: Calibration | None,
     recording: Recording | None,
 ) -> tuple[SkinResponse, SkinResponse]:
-    """Step the skin under the emitted sound of the true array, and under the ideal sound for the true hand."""
+    """Step the skin twice: under the emitted sound of the true array, and under the ideal sound for the true hand."""
     end_s = moments[-1].time_s
     # Target of the focus, and positions of recordings
     places = np.array([moments[0].true, *([] if recording is None else [recording.place_m])])
@@ -307,7 +315,7 @@ def _folder(out: Path, overwrite: bool) -> Path:
 
 
 def _written(result: Trial, folder: Path, logged: bool) -> dict[str, Path]:
-    """Write the table, the numbers and the picture."""
+    """Write the table, the numbers and the picture; return the files."""
     files = {name: folder / name for name in FILES if name != "sent.jsonl" or logged}
     names, rows = table_of(result.moments, result.skin)
     write_table(files["course.csv"], names, rows)

@@ -1,6 +1,6 @@
-"""Make frames from the present estimate, send them to a board, and reconstruct what it emits and when.
+"""Make frames from the present pose estimate, send them to a board, and reconstruct what it emits and when.
 
-No other module of a trial sends. A frame is made just before its first byte is sent. A separate process
+Only this module of a trial sends data. A frame is made just before its first byte is sent. A separate process
 (`palmfield.drive.player`) sends frames to ports.
 """
 
@@ -25,31 +25,37 @@ from palmfield.types import Complex, Float
 VIRTUAL = "virtual"
 """Value of `port` for a virtual board that runs in real time."""
 BEFORE_S = 0.1
-"""Time for practice frames before the first frame is sent [s]."""
+"""Time for making practice frames before the first frame is sent [s]."""
 PRACTICE = 4
 """Number of practice frames."""
 HANDING_S = 1.5e-3
-"""Time from the end of making a frame until its first byte can be on an idle line [s]."""
+"""Time from when a frame is ready until its first byte can be on an idle line [s]."""
 REST = 0.2
-"""Pause before the next frame is begun, as a fraction of the time to make one. Linux stops threads with real-time
-priority (the player) for 50 ms if other threads get less than 5 % of a second."""
+"""Pause before the next frame is made, as a fraction of the time to make one frame.
+
+Linux stops threads with real-time priority (the player) for 50 ms if other threads get less than 5 % of a second.
+"""
 MAKING_SHARE = 0.9
 LAST_MADE = 50
-"""MAKING_SHARE quantile of the times of the LAST_MADE last frames: lead at which a frame is begun."""
+"""Number of last frames whose making times set the lead at which the next frame is made.
+
+The lead is the MAKING_SHARE quantile of these times.
+"""
 STALE_S = 1.0
-"""The board becomes silent if it gets no frame for this time [s]."""
+"""Time without a frame after which the board becomes silent [s]."""
 LAST_FRAMES = 4
-"""Largest number of frames on the line, in buffers or waiting for a sync before they sound."""
+"""Largest number of frames that are on the line, in buffers, or waiting for a sync before they sound."""
 
 
 class MadeFrame:
     """A frame for a board.
 
-    data: its bytes, none for a board without a line; focus: its target, array frame [m], shape (3,)
+    data: its bytes, empty for a board without a line
+    focus: target position, array frame [m], shape (3,)
     sample_s: time of the last sample from which it was made [s]
     sounds: whether any transducer is on
-    target: drive of the transducers before rounding, shape (N,); computed at first use, to save time while
-        sending
+    target: drive of the transducers before rounding, shape (N,). It is computed at the first use, to save time while
+        frames are sent
     """
 
     def __init__(
@@ -67,13 +73,18 @@ class MadeFrame:
 
 
 Make = Callable[[float, float], MadeFrame]
-"""Makes the frame to sound from the second time on, from the estimate at the first; times of the trial [s]."""
+"""Function that makes a frame. Arguments, as times of the trial [s]: time of the estimate, and time of the sound."""
 
 
 @dataclass(frozen=True)
 class SentFrame:
-    """A sent frame. number: number among the due frames; due_s: when it should sound; made_s: when it was made;
-    begun_s: when its first byte was sent, all in the time of the trial [s]"""
+    """A sent frame. All times are times of the trial [s].
+
+    number: number among the due frames
+    due_s: when it should sound
+    made_s: when it was made
+    begun_s: when its first byte was sent
+    """
 
     number: int
     due_s: float
@@ -84,14 +95,17 @@ class SentFrame:
 
 @dataclass
 class Sent:
-    """Result of the sending of a trial.
+    """Result of sending the frames of a trial.
 
-    frames: the sent frames; due: number of due frames; emitted: drives with their start times, in the time of the trial
-    [s]
-    late_s: largest delay of the last byte of a frame on the line [s]; flags: errors reported by a virtual board, in
-    words
-    interrupted: whether Ctrl-C ended it early; end_s: time of the end [s]
-    zero_s: time 0 of the trial on the clock of the sender [s]; notes: notes on the sending
+    frames: the sent frames
+    due: number of due frames
+    emitted: drives with their start times, in the time of the trial [s]
+    late_s: largest delay of the last byte of a frame on the line [s]
+    flags: errors that a virtual board reported, in words
+    interrupted: whether Ctrl-C ended the trial early
+    end_s: time of the end [s]
+    zero_s: time 0 of the trial on the clock of the sender [s]
+    notes: remarks on the sending
     """
 
     frames: list[SentFrame] = field(default_factory=list)
@@ -106,11 +120,11 @@ class Sent:
 
     @property
     def dropped(self) -> int:
-        """Number of frames that were due and not sent."""
+        """Number of frames that were due but not sent."""
         return self.due - len(self.frames)
 
     def add(self, frame: SentFrame, line_s: float) -> None:
-        """Add a sent frame. takes_s: its duration on the line [s]"""
+        """Add a sent frame. line_s: times on the line [s]"""
         self.frames.append(frame)
         ends = frame.begun_s + line_s
         self.late_s, self.end_s = max(self.late_s, ends - frame.due_s), ends
@@ -138,16 +152,17 @@ def send(
     limits: SoundLimits | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Sent:
-    """Make and send frames for rising due times [s]; of several due frames the newest is sent.
+    """Make and send frames for rising due times [s]. If several frames are due, only the newest is sent.
 
     port: port of a board; VIRTUAL: a virtual board in real time; None: a virtual twin that does not wait, so that a
-    trial
-        is fast and exactly repeatable
-    duration_s: duration of the last frame [s]; log: log of the sent frames, which is closed at the end; on_progress:
-        called with the time of the trial [s]; limits: limits of the sound energy; beyond them the player becomes silent
-        The emission of a real board is computed by its twin from the bytes and their times on the line. Ctrl-C ends it
-        early; the board is off at the end. Raises DeviceError if the port cannot be opened or is lost, and for a port
-        on a system without POSIX.
+        trial is fast and exactly repeatable
+    duration_s: duration of the last frame [s]
+    log: log of the sent frames, which is closed at the end
+    limits: limits of the sound energy; above them the player becomes silent
+    on_progress: function that is called with the time of the trial [s]
+    The twin of a real board computes its emission, from the bytes and their times on the line. Ctrl-C ends the trial
+    early; the board is off at the end. Raises DeviceError if the port cannot be opened or is lost, and for a port on a
+    system without POSIX.
     """
     order = _Order(board, times_s, make, duration_s, on_progress or (lambda time_s: None))
     if board.exact:
@@ -172,9 +187,10 @@ def send(
 
 
 def _not_early(board: Board, frames: list[SentFrame], emitted: list[Emitted]) -> list[Emitted]:
-    """Return the emission of a virtual board, in which no frame sounds before its last byte can have arrived.
+    """Return the emission of a virtual board, corrected so that no frame sounds before its last byte can have arrived.
 
-    A virtual board estimates arrival times from the time of reading; on a busy machine they may be too early.
+    A virtual board estimates arrival times from the times at which it reads bytes. On a busy machine they may be too
+    early.
     """
     begin, line_s = len(board.decode(board.start)), board.frame_time_s
     if len(emitted) < begin + len(frames):
@@ -187,7 +203,7 @@ def _not_early(board: Board, frames: list[SentFrame], emitted: list[Emitted]) ->
 
 
 def _play_exactly(order: _Order) -> Sent:
-    """Return the emission of a board without limits and without a line: each frame at its time."""
+    """Return the emission of a board without limits and without a line. Each frame sounds at its due time."""
     sent = Sent(due=len(order.times_s), end_s=order.duration_s)
     for number, due_s in enumerate(order.times_s):
         frame = order.make(due_s, due_s)
@@ -197,7 +213,10 @@ def _play_exactly(order: _Order) -> Sent:
 
 
 class _Twin:
-    """A virtual twin of a board that gets the bytes on the line; times are since it was switched on."""
+    """A virtual twin of a board that receives the bytes on the line.
+
+    Times are measured from when it was switched on.
+    """
 
     def __init__(self, board: Board, log: FrameLog | None = None) -> None:
         self.board, self.twin, self.log = board, board.wired_twin(), log
@@ -209,7 +228,7 @@ class _Twin:
             self.log.add(begins_s, data)
 
     def stop(self, begins_s: float, zero_s: float, sent: Sent) -> None:
-        """Silence it and fill `sent` with the emission; time 0 of the trial is `zero_s` of the twin."""
+        """Silence the twin, and fill `sent` with its emission. Time 0 of the trial is `zero_s` of the twin."""
         self.feed(self.board.stop, begins_s)
         self.emitted += self.twin.until(self.twin.time_s + TWIN_DELAY_S)
         sent.emitted = [Emitted(one.time_s - zero_s, one.amplitudes) for one in self.emitted]
@@ -217,7 +236,7 @@ class _Twin:
 
 
 def _play_on_twin(order: _Order, log: FrameLog | None) -> Sent:
-    """Return the emission of a virtual board whose line takes its real time, without waiting."""
+    """Return the emission of a virtual board whose line takes its real time, without waiting for it."""
     board, times_s = order.board, order.times_s
     line, line_s = _line(board), board.frame_time_s
     sent, twin = Sent(due=len(times_s)), _Twin(board, log)
@@ -251,7 +270,7 @@ def _line(board: Board) -> Line:
 
 
 def _play_on_port(order: _Order, port: str, log: FrameLog | None, limits: SoundLimits | None) -> Sent:
-    """Make frames in this process and send them by a player, which reports the time of each on the line."""
+    """Make frames in this process and send them by a player, which reports when each frame was on the line."""
     within = limits or SoundLimits()
     if log is not None:
         log.close()
@@ -284,7 +303,7 @@ def _play_on_port(order: _Order, port: str, log: FrameLog | None, limits: SoundL
 def _make_and_give(order: _Order, player: Player, passed: list[tuple[int, float, MadeFrame]]) -> Sent:
     """Make frames just before they are due, and pass them to a player.
 
-    passed: list to fill with the number of each frame among the due ones, when it was made [s], and the frame
+    passed: list that gets, for each frame, its number among the due frames, when it was made [s], and the frame
     """
     times_s = order.times_s
     line_s, making = order.board.frame_time_s, _practised(order.make, times_s)
@@ -314,7 +333,10 @@ def _make_and_give(order: _Order, player: Player, passed: list[tuple[int, float,
 
 
 class _Making:
-    """Time to make frames. took_s: median of the last ones [s]; ahead_s: lead of the begin before the first byte [s]"""
+    """Time to make frames.
+
+    took_s: median of the last frames [s]; ahead_s: lead before the first byte at which one begins [s]
+    """
 
     took_s, ahead_s = 0.0, HANDING_S
 
@@ -333,7 +355,7 @@ class _Making:
 
 
 def _practised(make: Make, times_s: Sequence[float]) -> _Making:
-    """Make practice frames, because the first frames take long."""
+    """Make practice frames, because the first frames take longer."""
     making = _Making()
     for number in range(PRACTICE if len(times_s) else 0):
         began = time.monotonic()
@@ -344,7 +366,7 @@ def _practised(make: Make, times_s: Sequence[float]) -> _Making:
 
 
 def _emit_by_twin(board: Board, sent: Sent, duration_s: float) -> None:
-    """Return the emission of a real board, by its twin, from the times of the bytes on the line."""
+    """Return the emission of a real board. Its twin computes it from the times of the bytes on the line."""
     twin = _Twin(board)
     start_s = _line(board).time_s(len(board.start))
     zero = start_s - min([0.0, *(one.begun_s for one in sent.frames[:1])])
@@ -376,7 +398,7 @@ class Drives:
         return None if frame < 0 else (self.emitted[number], self.frames[frame])
 
     def _frame_of(self, emitted: Emitted) -> int:
-        """Return the number of the last frame begun by then that matches this emission, -1 for none.
+        """Return the number of the last frame, begun by then, that matches this emission; -1 for no such frame.
 
         If bytes were lost and no frame matches, return the last frame that could have arrived.
         """
@@ -388,7 +410,7 @@ class Drives:
         return min(in_by, begun)
 
     def _plays(self, number: int) -> Complex:
-        """Return the emission of a frame whose bytes all arrive."""
+        """Return the emission of a frame if all its bytes arrive."""
         if number not in self._played:
             frame = self.frames[number].frame
             board = self._board

@@ -1,4 +1,4 @@
-"""Motion of the skin of a hand under the sound of a trial: the scene stepped with the output of the board."""
+"""Motion of the skin of a hand under the sound of a trial. The scene is stepped with the output of the board."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -57,9 +57,10 @@ class PlayedEmission(Emission):
 
 
 class SkinResponse(NamedTuple):
-    """A skin over a trial, at the ends of MuJoCo's steps.
+    """Motion of a skin over a trial, at the ends of MuJoCo's steps.
 
-    times: [s], shape (k,); arp: largest ARP [Pa], shape (k,)
+    times: times [s], shape (k,)
+    arp: largest ARP [Pa], shape (k,)
     motion: displacement [m] and velocity [m/s] along the outward normal at the requested places, (p, 2, k)
     """
 
@@ -85,7 +86,7 @@ def skin_response(
     """Step a scene with the output of a board, and observe its first skin.
 
     places: positions in the array frame at the beginning [m], shape (p, 3); the nearest nodes are recorded
-    Ctrl-C ends it early with the results so far. Raises the errors of `palmfield.Simulation`.
+    Ctrl-C ends the steps early with the results so far. Raises the errors of `palmfield.Simulation`.
     """
     sim = Simulation(scene, device="cpu", board=board, keys=keys)
     name = sim.skins[0]

@@ -1,8 +1,8 @@
 """Gate in front of the server of the page: it checks clients, address and token.
 
-This gate listens at the address of the page, reads the head of each connection, and forwards the allowed ones. viser
-itself serves every client at a local port, which a script of any page can find by trial. `only_for_gate` makes it
-serve only this gate, which sends a secret.
+This gate listens at the address of the page, reads the head of each connection, and forwards allowed connections. viser
+itself would serve every client at a local port, and a script of any web page could find this port by trial.
+`only_for_gate` makes viser serve only this gate, which sends a secret.
 """
 
 import asyncio
@@ -25,16 +25,16 @@ HEAD_S = 10.0
 CHUNK = 1 << 16
 LOCAL = ("localhost", "127.0.0.1", "::1")
 PORTS = 20
-"""Number of ports that are tried if none is requested."""
+"""Number of ports that are tried if no port is requested."""
 ALIVE = "/alive"
-"""Path whose only answer is that the server runs."""
+"""Path whose only purpose is to show that the server runs."""
 SECRET_HEADER = "X-Palmfield-Gate"
 """Header of a request by which the server identifies the gate."""
 
 
 @contextlib.contextmanager
 def only_for_gate(secret: str, head: str) -> Iterator[None]:
-    """Make a viser server that is started in this block refuse requests without a secret in SECRET_HEADER.
+    """Let a viser server that is started in this block refuse requests without a secret in SECRET_HEADER.
 
     head: HTML that is added to the head of its page
     Raises OutputError if viser did not start its server as version 1.1 does.
@@ -72,7 +72,7 @@ def only_for_gate(secret: str, head: str) -> Iterator[None]:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether an address is reached from this machine only."""
+    """Return whether an address can be reached only from this machine."""
     if host == "localhost":
         return True
     try:
@@ -121,9 +121,10 @@ class Refused(Exception):
 
 
 def check(head: Head, token: str, cookie: str) -> None:
-    """Raise Refused for a request that is not allowed, and to redirect a request with the token in its address.
+    """Raise Refused for a request that is not allowed. Refused is also raised to redirect a request with a token.
 
-    token: empty for a page at a loopback address; then the Host header must be a name of this machine
+    token: token that a request must have, empty for a page at a loopback address; the Host header must then be a name
+        of this machine
     cookie: name of the cookie with the token
     """
     host = head.headers.get("host", "")
@@ -153,7 +154,8 @@ class Gate:
     """Listens in a separate thread. port: number of its port"""
 
     def __init__(self, host: str, port: int | None, first: int, behind: int, token: str, secret: str) -> None:
-        """port: None for the first free one from `first` on; behind: port of this machine to forward to
+        """port: port to listen at; None for the first free port from `first` on
+        behind: port of this machine to which connections are forwarded
         secret: secret that this server expects
 
         Raises OutputError for an address at which it cannot listen.

@@ -1,4 +1,4 @@
-"""Write a mesh with vertex colours as a GLB file, fast enough for many times a second."""
+"""Write a mesh with vertex colours as a GLB file. It is fast enough for many files per second."""
 
 import json
 import struct
@@ -13,11 +13,11 @@ JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 FLOAT, UINT8, UINT32 = 5126, 5121, 5125
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 FAR_M = 10.0
-"""Bounds of the vertices in the head of the file, which is made once, before the vertices are computed [m]."""
+"""Bounds of the vertices that the file head states [m]. The head is made once, before the vertices are computed."""
 
 
 class GlbMesh:
-    """Triangles whose vertices move and change their colours. Only these numbers differ between its files."""
+    """Triangles whose vertices move and change colour. Its files differ only in these numbers."""
 
     def __init__(self, faces: Int, vertices: int) -> None:
         """faces: shape (m, 3); vertices: their number"""
@@ -68,7 +68,7 @@ _LINEAR = np.round(255.0 * linear_rgb(np.arange(256) / 255.0)).astype(np.uint8)
 
 
 def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return sRGB colours in the linear scale of glTF vertices; opacity is unchanged."""
+    """Convert sRGB colours to the linear scale of glTF vertices. The opacity is unchanged."""
     result = _LINEAR[colours]
     result[:, 3] = colours[:, 3]
     return np.ascontiguousarray(result)

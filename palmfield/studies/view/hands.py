@@ -1,4 +1,4 @@
-"""Add a shift and rotation to hands that the script of a scene moves."""
+"""Add a shift and a rotation to hands that the script of a scene moves."""
 
 import math
 from dataclasses import dataclass, replace
@@ -68,7 +68,7 @@ class Hands:
         self.attach(sim)
 
     def attach(self, sim: Simulation) -> None:
-        """Move the hands of another simulation of the scene in future."""
+        """Let the offsets move the hands of another simulation of the scene."""
         self._modules = scripts(sim.data)
         self._scripts = {name: module.motion for name, module in self._modules.items()}
         if self.followed is not None:

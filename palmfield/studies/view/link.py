@@ -21,9 +21,9 @@ KINDER = 5
 
 
 class Link(Closing):
-    """A page in a separate process. A context manager, which ends that process.
+    """Context manager with a page in a separate process, which it ends.
 
-    Separate threads send and receive, so that a page that does not respond cannot block the simulation.
+    Separate threads send and receive. So a page that does not respond cannot block the simulation.
 
     address: address for the browser
     """
@@ -78,7 +78,10 @@ class Link(Closing):
         self._outbox.put(message)
 
     def received(self, wait_s: float = 0.0) -> list[FromPage]:
-        """Return messages since the last call; wait up to `wait_s` [s] for one. Sets `closed` if the page has ended."""
+        """Return the messages since the last call. Wait up to `wait_s` [s] for one.
+
+        Sets `closed` if the page has ended.
+        """
         messages: list[FromPage] = []
         if not wait_s and self._inbox.empty():
             return messages

@@ -1,8 +1,8 @@
 """Messages between the process of the simulation and that of the page.
 
-The simulation sends SceneShown at its start and after each rebuild, Notice and Values when needed. It sends Moment and
-Replay only on request, so that it never waits for the page. All positions are in the world [m]. All messages are
-pickled between two processes of one program.
+The simulation sends SceneShown at its start and after each rebuild. It sends Notice and Values when needed. It sends
+Moment and Replay only on request, so that it never waits for the page. All positions are in the world [m]. All messages
+are pickled between two processes of one program.
 """
 
 from dataclasses import dataclass
@@ -21,8 +21,10 @@ Place = tuple[Group, str, int | None]
 class Address(NamedTuple):
     """Address of the page.
 
-    host: address to listen at; port: None for the first free one from 8080 on; token: required from clients, empty for
-    none; rate_Hz: pictures a second
+    host: address to listen at
+    port: port, None for the first free port from 8080 on
+    token: token that clients need, empty for none
+    rate_Hz: pictures per second
     """
 
     host: str
@@ -37,7 +39,9 @@ class Address(NamedTuple):
 class Slider(NamedTuple):
     """A slider for one number.
 
-    folder: its heading; low, high, step, value: numbers in `unit`; scale: scale from the SI unit to `unit`
+    folder: heading of its group
+    low, high, step, value: numbers in `unit`
+    scale: factor from the SI unit to `unit`
     """
 
     place: Place
@@ -52,8 +56,12 @@ class Slider(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Present positions [m]. bodies: vertices, (v, 3) each; skins: surface nodes and outward normals, (S, 3) each
-    transducers: (N, 3)"""
+    """Present positions [m].
+
+    bodies: vertices of each body, shape (v, 3)
+    skins: surface nodes and outward normals of each skin, shapes (S, 3)
+    transducers: positions, shape (N, 3)
+    """
 
     bodies: tuple[Float32, ...]
     skins: tuple[tuple[Float32, Float32], ...]
@@ -63,10 +71,13 @@ class Pose(NamedTuple):
 class SceneShown(NamedTuple):
     """Parts that are constant until the scene is rebuilt.
 
-    body_faces: body faces of the closed bodies, (m, 3) each; skins: names; skin_faces: (f, 3) each; pose: the first
-    pose
+    body_faces: faces of the closed bodies, shape (m, 3) each
+    skins: names of the skins
+    skin_faces: their faces, shape (f, 3) each
+    pose: the first pose
     transducer_directions: unit vectors, (N, 3); transducer_radius: [m]
-    no_pose: why the hand has no sliders, empty if it has some; timestep_s: timestep of MuJoCo [s]
+    no_pose: why the hand has no sliders, empty if it has sliders
+    timestep_s: time step of MuJoCo [s]
     """
 
     name: str
@@ -85,10 +96,13 @@ class SceneShown(NamedTuple):
 class Moment(NamedTuple):
     """Present state of the scene.
 
-    time_s: simulated time; speed: simulated seconds per second, recently measured, 0 while paused
+    time_s: simulated time [s]
+    speed: simulated time per wall time, recently measured; 0 while paused
     pose: None if no part has moved since the last message
-    drive: commanded drive of the transducers, (N,); foci: (m, 3), none in silence
-    solvers: stepper of each skin; recording: folder, or empty
+    drive: commanded drive of the transducers, shape (N,)
+    foci: positions [m], shape (m, 3), empty in silence
+    solvers: stepper of each skin
+    recording: folder of the recording, or empty
     displacement, arp: displacement along the outward normal [m] and ARP [Pa] of each skin, (S,), if requested
     hand_age_s: age of the pose of a tracked hand [s], NaN while it is lost; None without a tracked hand
     """
@@ -107,9 +121,12 @@ class Moment(NamedTuple):
 
 
 class Level(NamedTuple):
-    """Level of the last periods of a skin for an observer: level_dB above threshold, None if there is none; why:
-    reason;
-    lines: frequency lines of the motion or force to which the level belongs."""
+    """Level of an observer for the last periods of a skin.
+
+    level_dB: level above threshold, None if there is none
+    why: reason why there is none
+    lines: frequency lines of the motion or force to which the level belongs
+    """
 
     observer: str
     level_dB: float | None
@@ -118,8 +135,13 @@ class Level(NamedTuple):
 
 
 class SkinReplay(NamedTuple):
-    """The last periods of a skin. displacement along the outward normal [m] and arp [Pa]: (k, S) each
-    rms: rms of the displacement about its mean [m], (S,); levels: levels by observer"""
+    """The last periods of a skin.
+
+    displacement: along the outward normal [m], shape (k, S)
+    arp: [Pa], shape (k, S)
+    rms: rms of the displacement about its mean [m], shape (S,)
+    levels: levels by observer
+    """
 
     displacement: Float32
     arp: Float32
@@ -128,8 +150,11 @@ class SkinReplay(NamedTuple):
 
 
 class Replay(NamedTuple):
-    """The last periods of all skins: times [s], (k,), from `begin_s` on, of length `length_s` [s];
-    what: description of this stretch"""
+    """The last periods of all skins.
+
+    times: [s], shape (k,); they begin at `begin_s` and have length `length_s` [s]
+    what: description of this part of the run
+    """
 
     times: NDArray[np.float64]
     length_s: float
@@ -138,7 +163,7 @@ class Replay(NamedTuple):
 
 
 class Notice(NamedTuple):
-    """A sentence for the page. kind: `busy` stays until the next notice, `error` is red, `info` is plain"""
+    """A sentence for the page. kind: `busy` stays until the next notice, `error` is red, `info` is plain text"""
 
     kind: Literal["info", "busy", "error"]
     text: str
@@ -162,14 +187,14 @@ FromSimulation = SceneShown | Moment | Replay | Notice | Values | End
 
 
 class Ready(NamedTuple):
-    """The page is available. address: address for the browser; or failed: the reason"""
+    """Message that the page is available. address: address for the browser; failed: reason if it is not available"""
 
     address: str
     failed: str = ""
 
 
 class Request(NamedTuple):
-    """Request for the next Moment, with motion and ARP or without, or for the next Replay."""
+    """Request for the next Moment, with or without motion and ARP, or for the next Replay."""
 
     what: Literal["moment", "full moment", "replay"]
 
@@ -188,7 +213,7 @@ class SetKey(NamedTuple):
 
 
 class Press(NamedTuple):
-    """A button."""
+    """A button was pressed."""
 
     what: Literal["play", "pause", "reset", "record", "stop recording"]
 

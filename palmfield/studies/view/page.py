@@ -29,7 +29,7 @@ NOTHING = 1e-6
 PORT = 8080
 """First port that is tried if none is requested."""
 LIFT_m = 3e-4
-"""Distance at which a skin is drawn above its body, so that the two do not flicker."""
+"""Distance at which a skin is drawn above its body [m]. Without it, the two surfaces would flicker."""
 DISPLAYED_m = 3e-3
 """Displayed size of the largest motion at the default magnification [m]."""
 REPLAYS = ("motion, slowed down", "ARP, slowed down")
@@ -76,9 +76,9 @@ addEventListener("load", () => {
 }
 </style>
 """.replace("ALIVE", ALIVE)
-"""Additions to viser's page: a clear message when the server has ended."""
+"""HTML that is added to viser's page. It shows a clear message when the server has ended."""
 AGAIN_s = 5.0
-"""Data are requested again after this time [s], because the simulation may not have been ready."""
+"""Time after which data are requested again [s], because the simulation may not have been ready."""
 
 
 def _table(name: str, low: float = 0.0, high: float = 1.0) -> NDArray[np.uint8]:
@@ -162,7 +162,7 @@ def _bar(title: str, table: NDArray[np.uint8], low: str, high: str) -> str:
 
 
 class SkinNode:
-    """A skin in the page. It has three meshes: one is visible while the browser reads the others."""
+    """A skin in the page. It has three meshes. One is visible while the browser reads the others."""
 
     def __init__(self, server: viser.ViserServer, name: str, faces: np.ndarray, pose: tuple[Float32, Float32]) -> None:
         self.faces, self.pose = faces, pose
@@ -174,7 +174,10 @@ class SkinNode:
         self._visible = 0
 
     def show(self, displacement: Float32, magnify: float, colours: np.ndarray) -> None:
-        """Show another state, which is visible two pictures later. displacement: along the outward normal [m], (S,)"""
+        """Show another state, which becomes visible two pictures later.
+
+        displacement: along the outward normal [m], (S,)
+        """
         last, self._visible = self._visible, (self._visible + 1) % len(self._nodes)
         self._nodes[self._visible].visible = True
         self._nodes[last].visible = False
@@ -193,7 +196,7 @@ class Page:
     """The page, in its own process. address: address for the browser"""
 
     def __init__(self, talk: Connection, place: messages.Address) -> None:
-        """Raises OutputError if it cannot listen."""
+        """Open the page. Raises OutputError if it cannot listen at its address."""
         self._talk, self._lock, self._place = talk, Lock(), place
         # viser does not check its clients, so it serves only the gate at the loopback address
         secret = secrets.token_urlsafe(24)
@@ -273,7 +276,7 @@ class Page:
                     self._put(self._sliders[place], value)
 
     def _put(self, handle: Any, value: float) -> None:
-        """Set a slider to the value of the scene, which may be outside its range."""
+        """Set a slider to the value of the scene. This value may be outside the range of the slider."""
         handle.min, handle.max = min(handle.min, value), max(handle.max, value)
         if handle.value != value:
             handle.value = value
@@ -281,7 +284,7 @@ class Page:
     # -- contents of the page ------------------------------------------------------------------------------------------
 
     def _begin(self, scene: messages.SceneShown) -> None:
-        """Show a scene, the first one or a rebuilt one."""
+        """Show a scene: the first scene or a rebuilt scene."""
         first = self._scene is None
         self._scene, self._replay, self._moment = scene, None, None
         self._moment_requested_s = self._replay_requested_s = -math.inf
@@ -316,7 +319,7 @@ class Page:
             self._add_sliders(scene)
 
     def _look(self, pose: messages.Pose, directions: Float32) -> None:
-        """Place the camera beside the sound path, so that skin and array are visible."""
+        """Place the camera at the side of the sound path, so that skin and array are visible."""
         array = pose.transducers.mean(axis=0)
         skin = np.concatenate([points for points, _ in pose.skins]).mean(axis=0)
         axis = directions.mean(axis=0)
@@ -358,7 +361,7 @@ class Page:
         self._add_sliders(scene)
 
     def _add_sliders(self, scene: messages.SceneShown) -> None:
-        """Replace the sliders by those of a scene; no change if they are the same."""
+        """Replace the sliders by those of a scene. If they are the same, nothing changes."""
         if self._sliders and set(self._sliders) == {slider.place for slider in scene.sliders}:
             return
         for folder in self._folders.values():
@@ -469,7 +472,7 @@ class Page:
         self._describe(words, magnify)
 
     def _repeats(self) -> int:
-        """Return the number of pictures for each state of a replay, so that a replay of few states is slow enough."""
+        """Return how many pictures show each state of a replay. A replay with few states must not be too fast."""
         assert self._replay is not None
         return max(1, round(TURNS_IN_s * self._place.rate_Hz / max(len(self._replay.times), 1)))
 
@@ -542,7 +545,7 @@ def _small(text: str) -> str:
 
 
 def _meter_row(name: str, level_dB: float | None, why: str, lines: str) -> str:
-    """Return a bar from 0 to 60 dB above threshold, or the reason why there is none."""
+    """Return a bar from 0 to 60 dB above threshold, or the reason why there is no level."""
     title = html.escape(f"{name}: {why}", quote=True)
     if level_dB is None:
         why = html.escape(why.removeprefix("refused: "))

@@ -1,4 +1,4 @@
-"""Record the last periods of a running simulation: motion and ARP of the skins at all substeps, perceived levels."""
+"""Record the last periods of a running simulation: motion and ARP of the skins at all substeps, and levels."""
 
 from collections import deque
 from dataclasses import replace
@@ -20,17 +20,17 @@ from palmfield.studies.view.messages import Level, Replay, SkinReplay
 from palmfield.types import Float
 
 PERIODS = 2
-"""Number of periods of the lowest main frequency: fewer do not determine a level."""
+"""Number of periods of the lowest main frequency. Fewer periods do not determine a level."""
 SHORTEST_s, LONGEST_s = 4e-3, 0.25
 MOST_PICTURES = 24
 """Largest number of states in a replay."""
 
 
 class Blocks:
-    """A sink for a recorder that keeps the last blocks, one for each MuJoCo step, and forwards all."""
+    """A sink of a recorder that keeps the last blocks, one per MuJoCo step, and forwards all blocks."""
 
     def __init__(self, steps: int, on: Any = None) -> None:
-        """steps: number of kept blocks; on: another sink"""
+        """steps: number of blocks to keep; on: sink to which blocks are forwarded"""
         self.kept: deque[Arrays] = deque(maxlen=steps)
         self._on = on
 
@@ -41,7 +41,7 @@ class Blocks:
 
 
 class Periods:
-    """Records a simulation for as many steps as a level needs. Recording costs time, so it then stops."""
+    """Records a simulation for as many steps as a level needs, and then stops, because recording takes time."""
 
     def __init__(self, sim: Simulation) -> None:
         """Begin to record."""
@@ -53,7 +53,7 @@ class Periods:
         self._blocks.kept.clear()
 
     def step(self) -> Replay | None:
-        """Record a step; after enough steps, return the replay and stop recording."""
+        """Record a step. After enough steps, return the replay and stop recording."""
         self._recorder.step()
         if len(self._blocks.kept) < (self._blocks.kept.maxlen or 0):
             return None
@@ -73,7 +73,7 @@ def period_s(sim: Simulation) -> float | None:
 
 
 def steps_watched(sim: Simulation) -> int:
-    """Return the number of MuJoCo steps in a replay."""
+    """Return the number of MuJoCo steps that a replay contains."""
     period, step_s = period_s(sim), sim.runtime.spec.timestep_s
     # One more sample, because a record of two periods includes its first and last sample
     length_s = SHORTEST_s if period is None else PERIODS * period + sim.runtime.model.step_s
@@ -81,7 +81,7 @@ def steps_watched(sim: Simulation) -> int:
 
 
 def replay(sim: Simulation, blocks: list[Arrays], recorder: Recorder) -> Replay:
-    """Return the replay of consecutive blocks; recorder: their source"""
+    """Return the replay of consecutive blocks. recorder: recorder that wrote them"""
     model = sim.runtime.model
     times: Float = np.concatenate([block["/"]["time"] for block in blocks])
     period = period_s(sim)
@@ -105,7 +105,7 @@ def replay(sim: Simulation, blocks: list[Arrays], recorder: Recorder) -> Replay:
 def _levels(
     sim: Simulation, skin: int, recorder: Recorder, times: Float, normal: np.ndarray, arp_peaks: np.ndarray
 ) -> tuple[Level, ...]:
-    """Return the level of the motion of a skin for each observer, or why there is none."""
+    """Return, for each observer, the level of the motion of a skin, or why there is none."""
     runtime = sim.runtime
     model, loudest = runtime.model, recorder.loudest[skin]
     if loudest is not None and arp_peaks.max() > 0.0:

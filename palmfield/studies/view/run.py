@@ -1,4 +1,4 @@
-"""Run a scene for a page: step it at the requested pace, change keys, record, and send the data to show."""
+"""Run a scene for a page: step it at the requested speed, change keys, record, and send the data to show."""
 
 import logging
 import math
@@ -39,7 +39,7 @@ QUIET_s = 0.3
 IDLE_s = 0.02
 SPEED_OVER_s = 0.5
 UNWATCHED = 9
-"""Unobserved steps for each observed one, if the simulation runs at full speed."""
+"""Number of steps that are not recorded for each recorded step, if the simulation runs at full speed."""
 NEXT_KEY = re.compile(r";\s*(?=[\w.]+\s*=)")
 """Separator of several keys in one text: a semicolon before INSTANCE.key=."""
 NOT_FROM_A_PAGE = {"function", "hand", *FILE_KEYS}
@@ -71,7 +71,9 @@ class SceneSource:
 class ShownScene:
     """A scene that is stepped and changed. The caller passes messages of the page to `receive` and calls `go_on`.
 
-    send: function that gets the messages for the page; sim: the present simulation; keys: those changed in the scene
+    send: function that gets the messages for the page
+    sim: the present simulation
+    keys: keys that were changed in the scene
     """
 
     def __init__(
@@ -110,7 +112,7 @@ class ShownScene:
         self._watch_soon()
 
     def _watch_soon(self) -> None:
-        """Discard earlier periods."""
+        """Discard the recorded periods, and record again."""
         self._unwatched: float = math.inf
         self._waited = False
 
@@ -207,7 +209,7 @@ class ShownScene:
     # -- stepping ------------------------------------------------------------------------------------------------------
 
     def go_on(self) -> float:
-        """Make the next step if it is due, and answer requests; return the idle time until the next step [s]."""
+        """Run the next step if it is due, and answer requests. Return the time to wait until the next step [s]."""
         if (self._turns or self._set) and self._due():
             self._change()
         wait_s = IDLE_s
@@ -221,7 +223,7 @@ class ShownScene:
         return min(max(wait_s, 0.0), IDLE_s)
 
     def _ahead_s(self) -> float:
-        """Return how long the simulation must wait for real time [s]; if it is too late, restart the clock."""
+        """Return how long the simulation must wait for real time [s]. If it is too late, restart the clock."""
         if math.isinf(self.most_pace):
             return 0.0
         began_s, from_s = self._clock
@@ -279,11 +281,14 @@ class ShownScene:
 
     @property
     def watching(self) -> bool:
-        """Whether steps are recorded for a replay; then the simulation must be stepped only here."""
+        """Whether steps are recorded for a replay. The simulation must then be stepped only by this object."""
         return self._periods is not None
 
     def _may_watch(self) -> bool:
-        """Whether steps may be recorded: time is left, enough steps were not recorded, or there is no replay yet."""
+        """Whether steps may be recorded now.
+
+        This is true if time is left, if enough steps were not recorded, or if there is no replay yet.
+        """
         return self._waited or self._unwatched >= UNWATCHED * steps_watched(self.sim)
 
     def _answer(self) -> None:
@@ -317,7 +322,7 @@ class ShownScene:
     # -- changes -------------------------------------------------------------------------------------------------------
 
     def _due(self) -> bool:
-        """Return whether changes are applied now: at once if that is fast, else QUIET_s after the last change."""
+        """Return whether changes are applied now: at once if that is fast, otherwise QUIET_s after the last change."""
         return time.monotonic() - self._turned_at > QUIET_s or (self._quick() and not self._set)
 
     def _quick(self) -> bool:
@@ -402,11 +407,11 @@ def view(
 
     out: folder of recordings, out/view_SCENE by default
     device, accuracy, board, keys: as in `palmfield.Simulation`
-    modes: whether all skins use modal models, which are valid for any sound, so that a slider acts at once; building
+    modes: whether all skins use modal models. They are valid for any sound, so a slider takes effect at once. Building
         them takes one to two minutes for each skin, once
-    host: address at which the page is served, default that of this machine only; any other one requires the token in
-        the address of the page, which is sent over the network as plain text; port: default the first free one from
-        8080
+    host: address at which the page is served, by default only on this machine. For any other address, clients need the
+        token in the address of the page, which is sent over the network as plain text
+    port: port, by default the first free port from 8080 on
     rate_Hz: pictures per second, default 15, on a GPU 30
     pace: largest simulated time per real time; inf for no limit
     live: source of a tracked hand, which the only articulated hand of the scene follows in place of its script
@@ -449,7 +454,7 @@ def view(
 
 
 class Ending:
-    """Ends a view between two steps after a signal, because no exception can pass through a step of MuJoCo.
+    """Ends a view between two steps after a signal. An exception cannot pass through a step of MuJoCo.
 
     requested: whether a signal has arrived
     """

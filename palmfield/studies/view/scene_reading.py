@@ -13,7 +13,7 @@ SILENT = np.zeros((0, 3), np.float32)
 
 
 def _under(model: HapticModel, body: int) -> Under:
-    """Return the vertices of a body (by its number) that its skins cover; skins are numbered as in the model."""
+    """Return the vertices of a body (by its number) that its skins cover. Skins are numbered as in the model."""
     skins = np.array(model.carried(body))
     vertices, _ = model.skins[skins[0]].closed_surface
     found = under(vertices, [(model.skins[n].nodes[0], model.skins[n].faces, model.skins[n].nodes[1]) for n in skins])
@@ -21,7 +21,10 @@ def _under(model: HapticModel, body: int) -> Under:
 
 
 def scene_shown(sim: Simulation, name: str, pose: Pose, sliders: tuple[Slider, ...], no_pose: str) -> SceneShown:
-    """Return the data that are constant during steps. pose: the first pose; sliders, no_pose: as in SceneShown"""
+    """Return the data that stay constant while the scene is stepped.
+
+    pose: first pose; sliders, no_pose: as in SceneShown
+    """
     model, posed = sim.runtime.model, sim.runtime.posed
     surfaces = [model.skins[number].closed_surface for number in model.first_skins]
     return SceneShown(
@@ -44,7 +47,7 @@ def _in_world(array: np.ndarray) -> Float32:
 
 
 class MomentReader:
-    """Reads moments and poses of a simulation, and stores the number of the last shown pose."""
+    """Reads moments and poses of a simulation. It stores the number of the pose that was shown last."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
@@ -53,7 +56,7 @@ class MomentReader:
         self._shown: PosedScene | None = None
 
     def pose(self) -> Pose:
-        """Return the present positions of bodies, skins and transducers. Bodies are lowered under their skins."""
+        """Return the present positions of bodies, skins and transducers. Bodies are lowered below their skins."""
         posed = self._shown = self._sim.runtime.posed
         frame = posed.array_frame
         skins = []

@@ -1,4 +1,4 @@
-"""Make sliders for numbers of a scene, with ranges, and the texts of changed keys."""
+"""Make sliders with ranges for numbers of a scene, and the texts of changed keys."""
 
 from collections.abc import Iterable, Mapping
 
@@ -10,7 +10,7 @@ from palmfield.studies.view.messages import Place, Slider
 MM = ("mm", 1e3)
 AXES = "xyz"
 ASIDE_mm, NEARER_mm = 60.0, 120.0
-"""Range of a focus across and along the axis of the array."""
+"""Range of a focus across the axis of the array, and along it."""
 PLAIN = ("", 1.0)
 
 

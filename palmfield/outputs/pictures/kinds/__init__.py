@@ -1,4 +1,4 @@
-"""Pictures of `palmfield plot`. Each module of this package defines `KINDS`, its pictures by name."""
+"""Pictures of `palmfield plot`. Each module of this package defines the dictionary `KINDS`, its pictures by name."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -25,7 +25,7 @@ OPTIONS = {
 
 
 def check_options(kinds: Sequence[str], options: Options) -> None:
-    """Raise OutputError for options that no kind uses, and for limits of kinds with several units."""
+    """Raise OutputError for options that no kind uses, and for limits if the kinds have several units."""
     for name, option in OPTIONS.items():
         if getattr(options, name) != getattr(Options(), name) and not any(name in KINDS[kind].heeds for kind in kinds):
             able = [kind for kind, one in KINDS.items() if name in one.heeds]

@@ -19,7 +19,7 @@ LEAST_Hz = 1000.0
 
 
 def _motion(result: xr.DataTree, options: Options) -> tuple[Float, list[tuple[str, Float]]]:
-    """Return times [s], and description and normal motion [um or um/s] of each chosen point."""
+    """Return times [s], and for each chosen point its description and normal motion [um or um/s]."""
     name, skin = chosen_skin(result, options, options.quantity)
     chosen = chosen_vertices(result, name, skin, options)
     motion = IN_MICRO * at_vertices(skin, [vertex for vertex, _ in chosen], options.quantity).astype(float)
@@ -27,7 +27,7 @@ def _motion(result: xr.DataTree, options: Options) -> tuple[Float, list[tuple[st
 
 
 def course(result: xr.DataTree, options: Options) -> Figure:
-    """Draw normal displacement or velocity over time."""
+    """Draw the normal displacement or velocity over time."""
     times, motion = _motion(result, options)
     figure = Figure(figsize=(7.0, 3.4), layout="constrained")
     axes = figure.subplots()

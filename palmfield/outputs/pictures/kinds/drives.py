@@ -1,4 +1,4 @@
-"""Draw the drive: phase and amplitude of each transducer on the face of its array."""
+"""Draw the drive: phase and amplitude of each transducer of an array."""
 
 import numpy as np
 import xarray as xr
@@ -9,7 +9,7 @@ from palmfield.outputs.sound import driven_arrays
 
 
 def drives(result: xr.DataTree, options: Options) -> Figure:
-    """Draw phase (cyclic colour) and amplitude (size) of each transducer at a given time."""
+    """Draw the phase (cyclic colour) and amplitude (size) of each transducer at a requested time."""
     arrays = driven_arrays(result)
     figure = Figure(figsize=(5.4 * len(arrays), 4.8), layout="constrained")
     for axes, (name, array) in zip(figure.subplots(1, len(arrays), squeeze=False)[0], arrays.items(), strict=True):

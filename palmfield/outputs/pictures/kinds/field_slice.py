@@ -16,18 +16,17 @@ STEP_M = 0.0012
 BEYOND_M = 0.08
 """Distance by which the slice extends beyond the focus [m]."""
 BEGINS_M = 0.01
-"""Distance of the slice from the array [m]; closer points are not in the far field of a transducer."""
+"""Distance at which the slice begins, from the array [m]. Closer points are not in the far field of a transducer."""
 REACH_M = 0.3
-"""Length of the slice if there is no sound or focus [m]."""
+"""Length of the slice if there is no sound, or no focus [m]."""
 
 
 def field_slice(result: xr.DataTree, options: Options) -> Figure:
     """Draw the amplitude of the incident pressure through the loudest focus of the array with the highest drive, in its
     x-z plane.
 
-    It is the field in free air, without obstacles. Ring-up is not included: amplitudes and phases are those of the
-    drive.
-    Transducers are read from the result, with calibration and tilt.
+    This is the field in free air, without obstacles. Amplitudes and phases are those of the drive, so ring-up is not
+    included. Transducers are read from the result, with calibration and tilt.
     Raises OutputError for a result of an earlier version with layout sites or csv, or with a calibration, which it does
     not store completely.
     """

@@ -1,4 +1,4 @@
-"""Draw maps of a skin, with view onto the array: pressure, motion at a time, rms of motion, levels above threshold."""
+"""Draw maps of a skin, seen from the array: pressure, motion at a time, rms motion, levels above threshold."""
 
 from typing import Any
 
@@ -35,19 +35,20 @@ from palmfield.types import Float
 
 SIZES = "cividis"
 LEAST_LEVEL_DB = -20.0
-"""Lowest level in maps [dB SL]; lower levels, which are below threshold, are drawn as this."""
+"""Lowest level in maps [dB SL]. Lower levels are below threshold, and are drawn with this value."""
 MARKERS = "os^Dv"
 
 
 def pressure(result: xr.DataTree, options: Options) -> Figure:
-    """Draw peak pressure amplitude and ARP on each skin, at the loudest moment or at a given time. The view is from the
-    array that the skin faces.
+    """Draw the peak pressure amplitude and the ARP on each skin, at the loudest moment or at a requested time.
+
+    The view is from the array that the skin faces.
     """
     return pressure_picture(result, chosen_names(result, options), options.time_s)
 
 
 def motion_map(result: xr.DataTree, options: Options) -> Figure:
-    """Draw normal displacement or velocity of the skin at a time, by default that of the largest motion."""
+    """Draw the normal displacement or velocity of the skin at a time. The default is the time of the largest motion."""
     name, skin = chosen_skin(result, options, options.quantity)
     found = extremes(skin, options.quantity)
     index = chosen_time(skin, options, int(found.when[found.peak.argmax()]))
@@ -116,7 +117,9 @@ def level_map_of(result: xr.DataTree, options: Options) -> Figure:
 
 
 def _repeating(result: xr.DataTree, skin: xr.Dataset) -> tuple[slice, list[float]]:
-    """Return the records between ramp and silence, and the frequencies of most of the response to the stimuli.
+    """Return the steady part of the records, and the main frequencies of the response to the stimuli.
+
+    The steady part is between ramp and silence.
 
     Raises OutputError if the stimuli are not periodic, or last less than two periods.
     """

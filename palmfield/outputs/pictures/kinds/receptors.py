@@ -1,4 +1,4 @@
-"""Draw the afferents of a skin: rate of each on the skin, and its spikes over time, by class."""
+"""Draw the afferents of a skin: the rate of each on the skin, and its spikes over time, by class."""
 
 import numpy as np
 import xarray as xr
@@ -12,7 +12,10 @@ TITLES = {"sa1": "SA1", "ra1": "RA1", "pc": "PC"}
 
 
 def receptors(result: xr.DataTree, options: Options) -> Figure:
-    """Draw the mean rate of each afferent on the skin, and below it all spikes. The unit with most spikes is on top."""
+    """Draw the mean rate of each afferent on the skin, and all spikes below it.
+
+    The afferent with most spikes is on top.
+    """
     name, skin = chosen_skin(result, options, "afferent_motion")
     times, classes = skin["time"].values.astype(float), skin["afferent_class"].values
     view, rest = view_of_skin(result, name, skin), skin["rest_position"].values

@@ -1,4 +1,4 @@
-"""Draw the propagation of the motion of the skin along a straight line, over space and time."""
+"""Draw the normal motion of the skin along a straight line, over space and time."""
 
 import numpy as np
 import xarray as xr
