@@ -1,4 +1,4 @@
-"""Key `array_face`: the distance from a rigid array face to a flat disc, and the scenes that it cannot represent."""
+"""Key `array_face`: distance from a rigid array face to a flat disc, and scenes that the key cannot represent."""
 
 import math
 
@@ -8,13 +8,16 @@ from palmfield.simulation.spec import ArraySpec, SceneSpec
 from palmfield.types import Array
 
 TILT_RAD = 5e-4
-"""At this tilt, the sound path after two round trips is wrong by 1/70 wavelength 60 mm from the middle of the face."""
+"""Largest accepted tilt.
+
+With it, the path after two round trips is wrong by 1/70 wavelength at 60 mm from the middle.
+"""
 
 
 def wall_distance(spec: SceneSpec, array: Array) -> float:
     """Return the distance from the transducer plane to the disc [m], for a scene with a rigid array face.
 
-    array: transducers of the first array in its own frame.
+    array: transducers of the first array, in its own frame.
     Raises SceneError, with the reason and the remedy, for scenes that image sources of the array cannot represent.
     """
     rigid = next(array for array in spec.arrays if array.config.array_face == "rigid")

@@ -1,4 +1,4 @@
-"""Interface of the backends, which compute the steps of worlds on the host or on a device."""
+"""Interface of the backends. A backend computes the steps of worlds, on the host or on a device."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -21,10 +21,11 @@ from palmfield.types import Complex, Float, Float32
 
 
 class Frames(NamedTuple):
-    """The poses of all worlds at the beginning of a step.
+    """Poses of all worlds at the beginning of a step.
 
-    places, axes: origins [m] and axes of the frames in the rows of PoseLayout, (worlds, rows, 3) and (worlds, rows, 9).
-    posed: returns the PosedScenes of the selected worlds, shape (worlds,); called only by backends that need them.
+    places, axes: origins [m] and axes of the frames in the rows of PoseLayout, (worlds, rows, 3) and (worlds, rows, 9)
+    posed: function that returns the PosedScenes of the selected worlds, shape (worlds,); only backends that need them
+        call it
     """
 
     places: Float
@@ -33,16 +34,19 @@ class Frames(NamedTuple):
 
 
 class StepTrace(NamedTuple):
-    """A step in one world, or in several whose loads have the same form. Valid until the next step.
+    """One step of one world, or of several worlds whose loads have the same form. Valid until the next step.
 
-    times: ends of the substeps [s], shape (s,). worlds: their numbers, ascending, shape (g,). posed: pose of each.
-    keys: serial numbers of pose and course, shape (g, 2), 0 for silence.
-    moments: times at which the load is computed. levels: levels of the drives at these moments, complex, shape
-        (g, m, k), as in EmittedCourse. course: returns the whole emission of the i-th world.
-    begun: returns the emission of the i-th world at the beginning, shape (N,).
-    first, last: shares of the patterns of ARP at the ends of the substeps, shape (g, s, p).
-    motion: for each skin and each of its steppers, numbers of the worlds (w,) and the observed displacement [m] and
-        velocity [m/s] after each substep, (w, s, 2, m). The same points are observed in all worlds.
+    times: ends of the substeps [s], shape (s,)
+    worlds: numbers of the worlds, ascending, shape (g,)
+    posed: pose of each world
+    keys: serial numbers of pose and course, shape (g, 2), 0 for silence
+    moments: times at which the load is computed [s], shape (m,)
+    levels: levels of the drives at these moments, complex, shape (g, m, k), as in EmittedCourse
+    course: function that returns the whole emission of the i-th world
+    begun: function that returns the emission of the i-th world at the beginning, shape (N,)
+    first, last: weights of the ARP patterns at the start and the end of each substep, shape (g, s, p)
+    motion: for each skin and each of its steppers, the numbers of the worlds (w,) and the observed displacement [m] and
+        velocity [m/s] after each substep, (w, s, 2, m). The same points are observed in all worlds
     """
 
     times: Float
@@ -62,17 +66,17 @@ Observer = Callable[[StepTrace], None]
 
 
 class Backend(ABC):
-    """Computes steps of the worlds of a state. `Steps` calls its backends for each step, one after the other.
+    """Computes steps of the worlds of a state. For each step, `Steps` calls its backends one after the other.
 
-    A step begins with `place`, `emit`, `press` and `push`, in this order; `sense` follows for each sensor, and
-    `step_skins` when MuJoCo has moved its bodies.
+    A step begins with `place`, `emit`, `press` and `push`, in this order. Then `sense` is called for each sensor. When
+    MuJoCo has moved its bodies, `step_skins` is called.
 
-    own: the worlds that may take steps here.
-    joined: numbers of the worlds whose present step is computed here, ascending, shape (g,).
-    stepped: number and state size of each skin whose whole step is computed when the step begins.
-    observer: receives the trace of each step of each group of worlds.
-    in_graph: whether a graph computes steps. Its sensors must be set before the first step, and it keeps the ARP of
-        bodies.
+    own: worlds whose steps this backend may compute
+    joined: numbers of the worlds whose present step this backend computes, ascending, shape (g,)
+    stepped: number and state size of each skin whose whole step is computed when the step begins
+    observer: function that receives the trace of each step of each group of worlds
+    in_graph: whether a graph computes steps. Sensors of a graph must be set before the first step, and the graph keeps
+        the ARP of bodies
     """
 
     in_graph = False
@@ -86,37 +90,43 @@ class Backend(ABC):
 
     @property
     def watched(self) -> bool:
-        """Return whether every substep is observed. Graphs do not return single substeps."""
+        """Return whether every substep is observed.
+
+        Graphs do not return single substeps, so they cannot be used then.
+        """
         return self.observer is not None or any(map(is_not, self.works[0].observe, repeat(None)))
 
     @abstractmethod
     def forget(self) -> None:
-        """Drop data of the last step. Call it after a reset and in a copy, because other code has written the state."""
+        """Drop the data of the last step.
+
+        Call this after a reset and in a copy, because other code has written the state.
+        """
 
     @abstractmethod
     def fetch(self) -> None:
-        """Update the state from a device that has newer numbers."""
+        """Copy newer numbers from the device into the state."""
 
     @abstractmethod
     def leave_out(self, world: int) -> None:
-        """Mark a world whose emission does not come from its stimuli from now on."""
+        """Mark a world whose emission will no longer come from its stimuli."""
 
     @abstractmethod
     def watch(self, skin: int, place: SensorPlace) -> None:
-        """Compute the readings of a sensor at this place too, from the next step on."""
+        """From the next step on, also compute the readings of a sensor at this place."""
 
     @abstractmethod
     def place(self, frames: Frames, free: Bool, t0: float) -> Rows:
-        """Read the poses at the start of a step, t0 [s]; return the numbers of worlds that it can step, ascending.
+        """Read the poses at the start t0 [s] of a step. Return the numbers of the worlds that it can step, ascending.
 
         free: the worlds that no other backend steps, shape (worlds,)
         """
 
     @abstractmethod
     def emit(self, t0: float) -> None:
-        """Compute what transducers emit over the step, as far as forces and sensors need it.
+        """Compute the emission of the transducers over the step, as far as forces and sensors need it.
 
-        A device starts to compute the step; the host does other work until `press`.
+        A device only starts to compute the step. The host can do other work until `press`.
         """
 
     @abstractmethod
@@ -127,9 +137,8 @@ class Backend(ABC):
     def push(self, forces: Sequence[Float]) -> None:
         """Write the forces on each body into the rows of the joined worlds.
 
-        forces: forces by body, mean force over the step [N] and torque about the origins of its parts [N m], world
-        axes,
-            shape (worlds, 2, b, 3)
+        forces: by body the mean force over the step [N], and the torque about the origins of its parts [N m], world
+            axes, shape (worlds, 2, b, 3)
         """
 
     @abstractmethod
@@ -143,14 +152,17 @@ class Backend(ABC):
     def step_skins(self, t0: float, t1: float, skins: bool) -> None:
         """Advance transducers and skins of the joined worlds from t0 to t1 [s], in place.
 
-        skins: False leaves the skins as they are
+        skins: whether to step the skins; False leaves them unchanged
         Raises SceneError for a state of another solver, and if a reduced model selected by key `solver` has become
         invalid.
         """
 
 
 def serves(model: HapticModel) -> bool:
-    """Return whether graphs compute the sound: on a GPU, without echo, boundary elements and 'accurate' fields."""
+    """Return whether a graph can compute the sound.
+
+    This requires a GPU, and no echo, boundary elements or fields of kind 'accurate'.
+    """
     fast = model.arrays.precision == "fast" and model.arrays.wall_m is None
     solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
     return resolve(model.spec.device) != "cpu" and fast and not solved

@@ -53,14 +53,19 @@ if TYPE_CHECKING:
     from palmfield.stimulus.surface_path import SurfacePath
 
 LEAST_FREQUENCY_Hz = 200.0
-"""Mesh and time step resolve at least this frequency, unless key max_frequency_Hz sets another."""
+"""Frequency that mesh and time step always resolve, unless key max_frequency_Hz is set."""
 BANDS_AN_OCTAVE, BEYOND = 2, 1.07
-"""A mesh is made for the upper end of a frequency band, so that all frequencies of the band share it. It also serves
-frequencies up to BEYOND times this end, because the rules for the sizes are less exact than this factor."""
+"""Number of frequency bands per octave, and tolerance beyond the end of a band.
+
+A mesh is made for the upper end of a frequency band, so that all frequencies of the band share it. It may also be used
+up to BEYOND times this end, because the rules for element sizes are less exact than this factor.
+"""
 MOST_MODELS = 8
 RIM = 0.6
-"""Share of the spot width by which the region of fine elements is smaller around a focus at its rim than around a
-focus with a separate mesh: half of the spot is still inside."""
+"""Reduction of the region of fine elements, as a fraction of the spot width.
+
+For a focus at the rim of this region, half of the spot is still inside.
+"""
 _lock = threading.RLock()
 _models: list[HapticModel] = []
 _cached_wholes: "list[tuple[SceneLayer, Lazy[WedgeStepper]]]" = []
@@ -70,7 +75,7 @@ _cached_layers: WeakValueDictionary[tuple[object, ...], SceneLayer] = WeakValueD
 
 
 def model_of(spec: SceneSpec) -> HapticModel:
-    """Return the model of a spec; equal specs share one model and its factors. Errors as `build`."""
+    """Return the model of a spec. Equal specs share one model and its factors. The errors are those of `build`."""
     with _lock:
         for other in _models:
             if other.spec == spec:
@@ -82,7 +87,7 @@ def model_of(spec: SceneSpec) -> HapticModel:
 
 
 def keep_model(spec: SceneSpec, model: HapticModel) -> None:
-    """Drop all models except that of a spec, and keep the layers of `model` for later scenes that need the same ones.
+    """Drop all models except that of a spec. Keep the layers of `model` for later scenes that need the same layers.
 
     model: the model of the spec, or of a world with other layers
     """
@@ -92,7 +97,7 @@ def keep_model(spec: SceneSpec, model: HapticModel) -> None:
 
 
 def _but_for_texts(spec: SceneSpec) -> SceneSpec:
-    """Return the spec without the entries that MuJoCo fills in last, after it reads the sizes of the states."""
+    """Return the spec without the entries that MuJoCo fills in last, after it has read the sizes of the states."""
     return replace(spec, duration_s=1.0, device="cpu")
 
 
@@ -128,7 +133,7 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
 
 
 def load_for_sound(model: HapticModel) -> None:
-    """Begin to load the kernels of the sound on skins without effects of bodies, which threads of the CPU compile."""
+    """Begin to load the kernels for free sound on skins. On a CPU, threads compile them."""
     field = model.arrays.field
     for skin in model.spec.skins:
         if skin.config.body_sound == "none" and field.device == "cpu":
@@ -138,7 +143,7 @@ def load_for_sound(model: HapticModel) -> None:
 
 
 def make_surfaces(model: HapticModel) -> None:
-    """Make the meshes and force samples that the first look at a scene needs, because Ctrl-C waits for its end."""
+    """Make the meshes and force samples that are needed to show a scene first, because Ctrl-C waits for them."""
     for skin in model.skins:
         skin.nodes  # noqa: B018
     for body in model.bodies:
@@ -147,7 +152,10 @@ def make_surfaces(model: HapticModel) -> None:
 
 
 def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
-    """Return the board of a scene. SceneError for arrays that it does not drive, DeviceError for unknown keys."""
+    """Return the board of a scene.
+
+    Raises SceneError for arrays that it does not drive, DeviceError for unknown keys.
+    """
     check_arrays(BOARDS[spec.driver.board], spec.arrays)
     calibrated = any(array.calibration is not None for array in spec.arrays)
     with naming_keys("plugin 'palmfield.driver'", spec.driver):
@@ -160,21 +168,21 @@ def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
 
 
 def whole_of(layer: SceneLayer) -> "Lazy[WedgeStepper]":
-    """Return the stepper of a whole layer, stored or new; its matrix is factorised at first use."""
+    """Return the stepper of a full layer, from the cache or new. Its matrix is factorised at the first use."""
     with _lock:
         stored = next((whole for other, whole in _cached_wholes if other is layer), None)
         return stored or Lazy(partial(whole_stepper, layer))
 
 
 def whole_stepper(layer: SceneLayer) -> "WedgeStepper":
-    """Make the stepper of a whole layer, with its factorised matrix."""
+    """Make the stepper of a full layer, with its factorised matrix."""
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
 
     return WedgeStepper(layer.system, layer.quadrature.operator, layer.sizes.step_s)
 
 
 def _arrays(spec: SceneSpec) -> PhasedArray:
-    """Return the arrays in the reference pose. SceneError names the instance that cannot be built."""
+    """Return the arrays in the reference pose. A SceneError names the instance that cannot be built."""
     instances = array_instances(spec)
     for array, instance in zip(spec.arrays, instances, strict=True):
         with array.naming():
@@ -198,7 +206,7 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
 
 
 def _body(skin: SkinConfig) -> BodyModel:
-    """Return the body of a skin: surface and bones. Equal keys share one object while a model uses it."""
+    """Return the body of a skin: surface and bones. While a model uses it, equal keys share one object."""
     with _lock:
         body = _bodies.get(skin) or _bodies.setdefault(skin, _new_body(skin))
         body.force_accuracy = skin.force_accuracy
@@ -238,7 +246,7 @@ def _new_body(skin: SkinConfig) -> BodyModel:
 
 
 Responses = dict[tuple[StimulusSpec, bool], TransducerResponse]
-"""Cached responses of stimuli, independent of the level, and whether the stimulus is silent."""
+"""Cached responses of stimuli, which do not depend on the level, and whether the stimulus is silent."""
 
 
 def stimuli_of(
@@ -248,9 +256,10 @@ def stimuli_of(
     carriers: Sequence[BodyModel],
     responses: Responses | None = None,
 ) -> tuple[StimulusModel, ...]:
-    """Return the stimuli. Ring-up is modelled for all transducers of a scene or for none: they share one state.
+    """Return the stimuli. Ring-up is modelled for all transducers of a scene or for none, because they share one state.
 
-    carriers: the body of each skin; responses: responses of other worlds of the scene; new ones are added
+    carriers: the body of each skin
+    responses: responses of other worlds of the scene; new ones are added
     """
     responses, stimuli = {} if responses is None else responses, []
     for stimulus in spec.stimuli:
@@ -304,8 +313,10 @@ def _stimulus(
 
 
 def at_any_level(config: StimulusConfig) -> StimulusConfig:
-    """Return a key that is equal for stimuli that differ only in level. If the duty is modulated, return the stimulus
-    itself, because the level then changes the waveform of the ARP."""
+    """Return a key that is equal for stimuli that differ only in level.
+
+    If the duty is modulated, return the stimulus itself, because the level then changes the waveform of the ARP.
+    """
     if config.am_quantity == "duty":
         return config
     by_pressure = config.arp_peak_Pa is not None
@@ -313,9 +324,9 @@ def at_any_level(config: StimulusConfig) -> StimulusConfig:
 
 
 def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> "SurfacePath":
-    """Return the path of the focus on the resting surface.
+    """Return the path of the focus on the surface of the resting body.
 
-    body: frame of the surface, seen from the first array, in the reference pose
+    body: frame of the surface relative to the first array, in the reference pose
     """
     from palmfield.stimulus.surface_path import SurfacePath, drawn, through, zigzag_through  # few stimuli have one
 
@@ -352,7 +363,7 @@ def demands_of(
     board: Board,
     carriers: Sequence[BodyModel],
 ) -> list[LayerDemand]:
-    """Return the demands of the stimuli on the layer of each skin; carriers: the body of each skin."""
+    """Return the requirements of the stimuli on the layer of each skin. carriers: body of each skin"""
     demands = []
     for skin, body in zip(spec.skins, carriers, strict=True):
         stimulus = nearest_stimulus(skin, stimuli)
@@ -389,7 +400,10 @@ def layers_for(
     demands: Sequence[LayerDemand],
     carriers: Sequence[BodyModel],
 ) -> list[SceneLayer]:
-    """Return the layers of the skins, all with the shortest time step that one needs. carriers: body of each skin"""
+    """Return the layers of the skins. All have the shortest time step that one of them needs.
+
+    carriers: body of each skin
+    """
     layers = []
     for skin, body, demand in zip(spec.skins, carriers, demands, strict=True):
         layers.append(_layer(skin, body, demand))
@@ -405,7 +419,10 @@ def layers_for(
 
 
 def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
-    """Return the layer of a skin. Equal keys, place and demand on one body share a layer while a model uses it."""
+    """Return the layer of a skin.
+
+    While a model uses it, equal keys, place and requirements on one body share one layer.
+    """
     key = skin.name, skin.config, skin.patch_centre, body, demand
     with _lock:
         return _cached_layers.get(key) or _cached_layers.setdefault(
@@ -418,15 +435,14 @@ def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
 
 
 def nearest_stimulus(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
-    """Return the stimulus whose first focus is nearest to the middle of a skin; the layer is made for the sound of this
-    stimulus."""
+    """Return the stimulus whose first focus is nearest to the middle of a skin. The layer is made for its sound."""
     centre = skin.body.transform.points(np.array(skin.patch_centre))
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent] or list(stimuli)
     return min(sounding, key=lambda stimulus: float(np.linalg.norm(stimulus.first_focus - centre)))
 
 
 def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
-    """Return the time step that all skins share [s], so that results have one time axis."""
+    """Return the time step that all skins share [s]. With one step, results have one time axis."""
     step_s = min(steps_s)
     for skin, own in zip(spec.skins, steps_s, strict=True):
         if skin.config.step_s is not None and own > (1.0 + 1e-9) * step_s:
@@ -438,7 +454,7 @@ def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
 
 
 def band_end(f_Hz: float) -> float:
-    """Return the frequency for which the mesh of a given frequency is made [Hz], at least LEAST_FREQUENCY_Hz."""
+    """Return the frequency for which the mesh is made for a given frequency [Hz], at least LEAST_FREQUENCY_Hz."""
     bands = BANDS_AN_OCTAVE * math.log2(max(f_Hz / BEYOND, LEAST_FREQUENCY_Hz) / LEAST_FREQUENCY_Hz)
     return float(LEAST_FREQUENCY_Hz * 2.0 ** (math.ceil(bands - 1e-9) / BANDS_AN_OCTAVE))
 
@@ -446,13 +462,16 @@ def band_end(f_Hz: float) -> float:
 def fine_region(
     beside: Float, reach_m: float, region_m: float, spot_m: float
 ) -> tuple[tuple[float, float, float], float]:
-    """Return middle (from the middle of the layer) and radius of the region where elements are fine [m].
+    """Return the middle and the radius of the region with fine elements [m].
 
-    beside: from the middle of the layer to that of the foci, shape (3,); reach_m: reach of the foci from there;
-    region_m: key
-        focus_region_m, least radius; spot_m: width of the spot; the radius is smaller by RIM times it. If the foci
-        leave this region about the middle of the layer, the middle of the region is the nearest point of a grid with
-        this spacing, so that foci near each other share a region.
+    The middle is relative to that of the layer.
+
+    beside: vector from the middle of the layer to the middle of the foci, shape (3,)
+    reach_m: largest distance of the foci from there
+    region_m: key focus_region_m, the smallest radius
+    spot_m: width of the spot; the radius is reduced by RIM times this width
+    If the foci leave this region about the middle of the layer, the middle of the region is the nearest point of a grid
+    with the spacing of the region. So foci that are close together share a region.
     """
     middle, radius_m = beside, reach_m
     if region_m:
@@ -467,7 +486,7 @@ def fine_region(
 def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel, at: Float | None = None) -> float:
     """Return the full width at half maximum of |p|^2 at the first focus, along the x axis of the array [m].
 
-    at: another focus of the same transducers, shape (3,) [m], there at full drive
+    at: another focus of the same transducers, shape (3,) [m], at full drive
     """
     config = stimulus.config
     focus = stimulus.first_focus if at is None else at
@@ -487,11 +506,11 @@ def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel, at: Fl
 
 
 class PathPlace(NamedTuple):
-    """Place of a path (or of the focus) on a layer.
+    """Place of a path, or of a focus, on a layer.
 
-    beside: vector from the middle of the layer to the point of the skin nearest to the middle of the path, shape (3,)
-    [m]
-    off_m: distance of its middle from that point [m]; reach_m: largest distance of the path from its middle [m]
+    beside: vector from the middle of the layer to the skin point nearest to the middle of the path, shape (3,) [m]
+    off_m: distance of the middle of the path from that point [m]
+    reach_m: largest distance of the path from its middle [m]
     """
 
     beside: Float
@@ -500,7 +519,10 @@ class PathPlace(NamedTuple):
 
 
 def path_place(stimulus: StimulusModel, skin: SkinSpec, body: BodyModel) -> PathPlace:
-    """Return the place of the path (or focus) of a stimulus; the middle of a path on the skin is that of the layer."""
+    """Return the place of the path (or focus) of a stimulus.
+
+    For a path on the skin, the middle is that of the layer.
+    """
     centre = np.array(skin.patch_centre)
     if stimulus.path is not None and body.surface is not None:
         places, _ = stimulus.path.at(stimulus.path.arc_m, body.surface.vertices, body.surface.faces)
@@ -522,7 +544,7 @@ def path_place(stimulus: StimulusModel, skin: SkinSpec, body: BodyModel) -> Path
 
 
 def _on_skin(body: BodyModel, point: Float) -> Float:
-    """Return the surface point of a resting body nearest to a point, body frame [m]; for a disc its projection."""
+    """Return the surface point of a resting body nearest to a point, body frame [m]; for a disc, its projection."""
     surface = body.surface
     if surface is None:
         return np.array([*point[:2], 0.0])

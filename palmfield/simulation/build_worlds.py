@@ -1,6 +1,6 @@
 """Models of worlds with different stimuli. All share one set of arrays, bodies, layers and full-layer steppers.
 
-The model of each world is a HapticModel, so that the same code steps a scene and a world; equal worlds share one.
+The model of each world is a HapticModel, so the same code steps a scene and a world. Equal worlds share one model.
 """
 
 import math
@@ -27,10 +27,12 @@ from palmfield.skin.stepper import SkinStepper
 
 @dataclass(frozen=True)
 class Shared:
-    """Data that a world shares with worlds outside its group, so that it does not depend on the other members.
+    """Data that a world shares with worlds outside its group.
 
-    demands: the demand on the layer of each skin; None for the demands of this scene alone.
-    modal: whether general modes step skins with predicted loads too, if key `solver` is auto.
+    Results then do not depend on the other worlds of the group.
+
+    demands: requirements on the layer of each skin; None for the requirements of this scene alone
+    modal: whether skins with predicted loads also use general modes, if key `solver` is auto
     """
 
     demands: tuple[LayerDemand, ...] | None = None
@@ -40,14 +42,14 @@ class Shared:
 def build_worlds(
     specs: Sequence[SceneSpec], scene: SceneSpec | None = None, shared: Shared | None = None
 ) -> tuple[HapticModel, ...]:
-    """Build the model of each world, for specs that differ only in the keys of their stimuli.
+    """Build the model of each world. The specs differ only in the keys of their stimuli.
 
-    scene: spec of MuJoCo's model, which differs only in such keys; the first of specs by default.
-    shared: the data shared with other worlds; without it, the demands of these worlds.
-    The layers are made for the strictest demand of the worlds with sound. With equal demands, each world has the same
-    layer as when simulated alone. A skin gets reduced models if every world with sound would have a reduced model and
-    there are at most MOST_SMALL_MODELS different ones. Loads that differ only in level share a model. Otherwise one
-    stepper is used for all worlds: modes or the whole layer. Raises SceneError or DeviceError as
+    scene: spec of MuJoCo's model, which differs only in such keys; by default the first of the specs
+    shared: data shared with other worlds; without it, the requirements of these worlds are used
+    The layers are made for the strictest requirements of the worlds with sound. With equal requirements, each world has
+    the same layer as in a simulation of its own. A skin gets reduced models if every world with sound would have a
+    reduced model and there are at most MOST_SMALL_MODELS different ones. Loads that differ only in level share a model.
+    Otherwise one stepper is used for all worlds: modes or the full layer. Raises SceneError or DeviceError as
     `palmfield.simulation.build.build`.
     """
     first = model_of(scene or specs[0])
@@ -102,8 +104,10 @@ def _skins(
     loads: int,
     modal: bool,
 ) -> tuple[SkinModel, ...]:
-    """Return the skins that all worlds share; sounding: stimuli of worlds with sound; loads: number of different loads.
+    """Return the skins that all worlds share.
 
+    sounding: stimuli of the worlds with sound
+    loads: number of different loads
     modal: see Shared
     """
     skins = []
@@ -124,9 +128,9 @@ def _skins(
 
 
 def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
-    """Return the demand that covers several demands on a layer. Absorbing sides are set by the first main frequency.
+    """Return one requirement that covers several requirements on a layer. The first frequency sets the absorbing sides.
 
-    Elements are fine around the focus of the first demand, and as far as the foci of the others.
+    Elements are fine around the focus of the first requirement, and as far as the foci of the others.
     """
     near, far = zip(*(demand.path_reach_m for demand in demands), strict=True)
     near = tuple(
@@ -144,7 +148,7 @@ def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
 def load_key(stimuli: Sequence[StimulusModel], exact: bool) -> tuple[object, ...] | None:
     """Return a key that is equal for stimuli whose loads differ only in level; None for silence.
 
-    exact: whether the board plays any level unchanged; if not, the shape of the field may depend on the level
+    exact: whether the board plays every level unchanged; if not, the shape of the field may depend on the level
     """
     if all(stimulus.silent for stimulus in stimuli):
         return None

@@ -1,4 +1,4 @@
-"""Cached results: computed again only if their inputs change, usually the pose or the drive."""
+"""Cached results. They are computed again only if their inputs, usually the pose or the drive, change."""
 
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
@@ -15,7 +15,10 @@ T = TypeVar("T")
 
 
 class Cached:
-    """The last result under each name, with its key: serial numbers, or a value that is equal while it is valid."""
+    """The last result under each name, with its key.
+
+    The key consists of serial numbers, or is another value that stays equal while the result is valid.
+    """
 
     def __init__(self, worlds: int = 1):
         """worlds: number of rows of results in `rows`"""
@@ -24,7 +27,7 @@ class Cached:
         self._rows: dict[Hashable, tuple[Serials, Float]] = {}
 
     def of(self, name: Hashable, key: object, make: Callable[..., T], *parts: Any, move: Any = None) -> T:
-        """Return the result under a name; it is computed from `parts` if the key has changed.
+        """Return the result under a name. If the key has changed, it is computed from `parts`.
 
         move: function of the last result and of `parts`, for an object that is made once and then moved in place
         """
@@ -46,9 +49,10 @@ class Cached:
     def rows(
         self, name: Hashable, shape: tuple[int, ...], worlds: Rows, keys: Serials, make: Callable[..., Any], *parts: Any
     ) -> Float:
-        """Return the results of some worlds, shape (g, *shape), under pairs of serial numbers, shape (g, 2).
+        """Return the results of some worlds, shape (g, *shape). keys: pairs of serial numbers, shape (g, 2)
 
-        make: computes the result of a world from its number and `parts`, once for worlds with equal serial numbers
+        make: function that computes the result of a world from its number and `parts`. Worlds with equal serial numbers
+            are computed once
         """
         stored = self._rows.get(name)
         if stored is None:

@@ -1,7 +1,7 @@
-"""Commanded drive and emission of the transducers over a step: the stages drive and emitted.
+"""Commanded drive and emission of the transducers over a step.
 
-An Emission belongs to one state and is used by one thread at a time. It stores the drives for the present pose of
-the arrays, and the points of each stimulus at the last control tick.
+An Emission belongs to one state and is used by one thread at a time. It stores the drives for the present pose of the
+arrays, and the points of each stimulus at the last control tick.
 """
 
 from typing import NamedTuple
@@ -31,23 +31,27 @@ from palmfield.stimulus.schedule import Moments, first_point, frames_at, mean_ar
 from palmfield.types import Complex, Float, Int
 
 TICK_S = 1e-9
-"""A control tick closer in time than this counts as reached."""
+"""Tolerance of control ticks [s]. A tick that is closer in time counts as reached."""
 LEAST_MEANS = 4
-"""Minimum number of parts of a MuJoCo step for the mean force on bodies; 2 for moving drives, which cost more.
+"""Smallest number of parts of a MuJoCo step for the mean force on bodies: 2 for moving drives, which cost more.
 
-Estimated error with two parts: 5 % in the millisecond of ring-up, then 1 % for a focus that moves at 7 m/s."""
+Estimated error with two parts: 5 % in the millisecond of ring-up, then 1 % for a focus that moves at 7 m/s.
+"""
 BOOLE, BOOLE_SHARES = 4, np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0
-"""Parts of a step in which a course is linear, and the weights of their ends in its mean."""
+"""Parts of a step in which a course is linear, and the weights of the ends of these parts in the mean."""
 AHEAD, WORTHWHILE = 128, 32
-"""Substeps computed ahead if nothing moves, and the least number of different drives for which this saves time."""
+"""Number of substeps computed ahead if nothing moves, and number of different drives from which this saves time."""
 NEGLIGIBLE = 1e-5
-"""Share of the emitted power that the mean force may omit."""
+"""Fraction of the emitted power that the mean force may omit."""
 
 
 class MeanDrives(NamedTuple):
-    """Mean ARP: weights @ ARP(levels @ units). weights: shape (m,), empty in silence.
+    """Drives and weights for a mean ARP: weights @ ARP(levels @ units).
 
-    units: drives, shape (k, N); levels: complex, shape (m, k); serial: as of EmittedCourse
+    weights: shape (m,), empty in silence
+    units: drives, shape (k, N)
+    levels: complex, shape (m, k)
+    serial: serial number, as in EmittedCourse
     """
 
     units: Complex
@@ -60,13 +64,15 @@ SILENCE = MeanDrives(np.zeros((0, 0), np.complex128), np.zeros((0, 0), np.comple
 
 
 class PathStep(NamedTuple):
-    """A focus that moves during a MuJoCo step. moments: moments of the step
+    """A focus that moves during a MuJoCo step.
 
+    moments: moments of the step
     foci: foci of each of d groups of transducers at each moment, then at the beginning of the step, frame of the first
-        array [m], shape (m d + 1, 3); group: group of each transducer, shape (n,), None for one group
-    levels: pressure at the foci relative to the loudest moment, 0..1, shape (m d,); now: the same at the beginning
-    mean: mean ARP over the step relative to the loudest moment; weights: weights of the moments in the mean emission of
-        transducers that ring, shape (m,)
+        array [m], shape (m d + 1, 3)
+    group: group of each transducer, shape (n,); None for one group
+    levels: pressure at the foci relative to the loudest moment, 0 to 1, shape (m d,); now: the same at the beginning
+    mean: mean ARP over the step relative to the loudest moment
+    weights: weights of the moments in the mean emission of transducers with ring-up, shape (m,)
     """
 
     moments: Moments
@@ -79,7 +85,7 @@ class PathStep(NamedTuple):
 
 
 class _Coming(NamedTuple):
-    """A step computed ahead. pose: serial number of its pose; begun: emission at t0 [s], shape (N,)"""
+    """A step that was computed ahead. pose: serial number of its pose; begun: emission at t0 [s], shape (N,)"""
 
     pose: int
     t0: float
@@ -100,7 +106,7 @@ class PlacedStimulus(NamedTuple):
 
 
 class HeldPoints(NamedTuple):
-    """The points of a stimulus at a control tick, and the time at which they were taken [s]."""
+    """Points of a stimulus at a control tick, and the time of this tick [s]. They stay fixed until the next tick."""
 
     time_s: float
     points: FocalPoints
@@ -109,9 +115,10 @@ class HeldPoints(NamedTuple):
 class Emission:
     """Drives and emission of the transducers of a model.
 
-    held: held points of each stimulus with a control rate, None before its first step. holds: whether there is such
-    a stimulus. ahead: whether steps are computed ahead while nothing moves, with all fields in one matrix product.
-    coming: the steps computed ahead.
+    held: points of each stimulus with a control rate at its last tick; None before its first step
+    holds: whether there is such a stimulus
+    ahead: whether steps are computed ahead while nothing moves; one matrix product then computes all their fields
+    coming: the steps computed ahead
     """
 
     ahead = False
@@ -129,17 +136,17 @@ class Emission:
         self._moves_alone = _moves_alone(model, self._drives[1])
 
     def forget(self) -> None:
-        """Reset to the start of a run: no held points and no steps computed ahead."""
+        """Reset to the start of a run: drop the points of the last ticks, and the steps computed ahead."""
         self.held = [None] * len(self.model.stimuli)
         self.coming, self._last_pose = [], 0
 
     def adopt(self, other: "Emission") -> None:
-        """Continue from another Emission, in a copy of its state in the same PosedScenes."""
+        """Continue from another Emission, for a copy of its state in the same PosedScenes."""
         self.held = list(other.held)
         self.coming, self._last_pose = list(other.coming), other._last_pose
 
     def begin(self, posed: PosedScene, time_s: float) -> None:
-        """Take the points of the stimuli at the beginning of a step, for those whose control tick is due."""
+        """At the beginning of a step, store the points of the stimuli whose control tick is due."""
         for number, stimulus in enumerate(self.model.stimuli):
             if stimulus.config.control_rate_Hz > 0.0:
                 held = self.held[number]
@@ -152,7 +159,7 @@ class Emission:
                     self.held[number] = HeldPoints(time_s, points)
 
     def placed(self, posed: PosedScene, time_s: float) -> list[PlacedStimulus]:
-        """Return the stimuli with their drives and points; between control ticks, points stay as at the last tick."""
+        """Return the stimuli with their drives and points. Between control ticks, points stay as at the last tick."""
         if self._placed[0] != posed.serial:
             if self._drives[0] != posed.arrays.serial:
                 self._drives = posed.arrays.serial, array_drives(self.model, posed.arrays)
@@ -173,7 +180,7 @@ class Emission:
         return one._replace(points=held.points) if ticks[0] == ticks[1] else one
 
     def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
-        """Return the emission at the moments of `count` substeps from t0 [s]; emitted: emission at t0, shape (N,)."""
+        """Return the emission at the moments of `count` substeps from t0 [s] on. emitted: emission at t0, shape (N,)"""
         model, last = self.model, self._over
         key = posed.serial, round(t0, 12), count, emitted.tobytes(), self._ticks() if self.holds else ()
         # The mean force and the loads of the skins use the same course
@@ -187,11 +194,11 @@ class Emission:
         return result
 
     def _ticks(self) -> Ticks:
-        """Return the times at which the held points were taken [s]."""
+        """Return the time of the last control tick of each stimulus [s]."""
         return tuple([held and held.time_s for held in self.held])
 
     def _looked_ahead(self, posed: PosedScene, emitted: Complex, t0: float) -> tuple[Moments, EmittedCourse] | None:
-        """Return this step from the steps computed ahead, if the pose is still that of the last step."""
+        """Return this step from the steps computed ahead, if the pose is still that of the last step; else None."""
         still, self._last_pose = posed.serial == self._last_pose, posed.serial
         coming = self.coming.pop(0) if self.coming else None
         if still and (coming is None or not _begins(coming, posed, emitted, t0)):
@@ -203,7 +210,7 @@ class Emission:
         return coming.moments, coming.course
 
     def _look_ahead(self, posed: PosedScene, begun: Complex, t0: float) -> list[_Coming]:
-        """Compute the next steps, AHEAD substeps in all, with a batch of their drives."""
+        """Compute coming steps with AHEAD substeps in all, in one batch of drives."""
         model, steps = self.model, list[_Coming]()
         while not steps or len(steps) * model.substeps < AHEAD:
             moments = substep_moments(model.configs, t0, model.step_s, model.substeps)
@@ -232,8 +239,8 @@ class Emission:
     def path_step(self, posed: PosedScene, t0: float, count: int) -> PathStep | None:
         """Return the focus over `count` substeps from t0 [s] on, for a device that computes the drives.
 
-        None if the device cannot: in silence, for a fixed point, and unless there is a single focus of all transducers,
-        which must be equal and emit the commanded drive.
+        The result is None if the device cannot compute the drives: in silence, for a fixed point, and for several foci.
+        A single focus must use all transducers, which must be equal and emit the commanded drive.
         """
         model = self.model
         if not self._moves_alone or (model.response_on and model.substeps == 1):
@@ -273,7 +280,7 @@ class Emission:
     def _first(self, posed: PosedScene, emitted: Complex, t0: float) -> Complex | None:
         """Return the emission at t0 [s], shape (1, N), if `over` has computed the step that begins at t0; else None.
 
-        Only for a focus that moves on a straight line from there, and transducers without ring-up.
+        This works only for a focus that moves on a straight line from there, and for transducers without ring-up.
         """
         if self._over is None or self.holds:
             return None
@@ -304,8 +311,8 @@ class Emission:
     def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> MeanDrives:
         """Return the drives and weights of the mean ARP over the MuJoCo step that begins at t0 [s].
 
-        The mean is over the emission at the moments of the step. For a single stimulus without ring-up, the focus is
-        that at the beginning of the step. None in silence.
+        The mean is over the emission at the moments of the step. For a single stimulus without ring-up, the focus at
+        the beginning of the step is used. The result is None in silence.
         """
         model = self.model
         timestep_s = model.spec.timestep_s
@@ -339,8 +346,9 @@ class Emission:
 def mean_weights(moments: Moments) -> Float:
     """Return the weight of each moment in the mean over all steps, shape (m,); 0 for omitted moments.
 
-    On a linear course five moments are as exact as all, by Boole's rule (Abramowitz and Stegun 25.4.14). The forces of
-    `hover_explore` differ by 0.077 % from those of eight times as many moments; with all 13 it is 0.084 %.
+    On a linear course, five moments are as exact as all moments, by Boole's rule (Abramowitz and Stegun 25.4.14). In
+    `hover_explore` the forces differ by 0.077 % from those with eight times as many moments. With all 13 moments they
+    differ by 0.084 %.
     """
     steps = len(moments.first)
     if steps > BOOLE and steps % BOOLE == 0 and True not in moments.linear[:1] and all(moments.linear[1:]):
@@ -351,13 +359,14 @@ def mean_weights(moments: Moments) -> Float:
 
 
 def of_one(unit: Complex, weight: float, serial: int) -> MeanDrives:
-    """Return the mean ARP of one drive, shape (1, N), whose level varies."""
+    """Return the mean ARP of one drive, shape (1, N), with a level that varies."""
     return MeanDrives(unit, np.ones((1, 1), np.complex128), np.array([weight]), serial)
 
 
 def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
-    """Return the mean ARP over a course, by the fewest drives that span its moments; weights: weights of moments, (m,).
+    """Return the mean ARP over a course, with the smallest number of drives that span its moments.
 
+    weights: weights of the moments, shape (m,)
     Moments are computed separately, because the lit points of each moment depend on its own energy flux.
     """
     if len(course.units) < 2:
@@ -383,7 +392,7 @@ def _begins(step: _Coming, posed: PosedScene, emitted: Complex, t0: float) -> bo
 
 
 def looks_ahead(model: HapticModel) -> bool:
-    """Return whether coming drives differ, and one matrix product computes the loads of many of them."""
+    """Return whether coming drives differ, and one matrix product can compute the loads of many of them."""
     changing = any(part.config.path != "point" or part.response.delayed for part in model.stimuli)
     alike = len(model.arrays.groups) == 1 and model.arrays.wall_m is None
     return changing and model.free and alike and model.arrays.precision == "fast"
@@ -401,7 +410,10 @@ def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
 
 
 def array_drives(model: HapticModel, arrays: PhasedArray, board: Board | None = None) -> list[ArrayDrive]:
-    """Return the drive of each stimulus for one relative pose of the arrays; board: None for that of the model."""
+    """Return the drive of each stimulus for one relative pose of the arrays.
+
+    board: board, None for that of the model
+    """
     board = model.board if board is None else board
     drives = []
     for part in model.stimuli:

@@ -1,4 +1,4 @@
-"""Encode frames for a board: the bytes of one frame at a moment of a scene."""
+"""Encode the bytes of one frame for a board, at a moment of a scene."""
 
 from dataclasses import replace
 
@@ -19,9 +19,9 @@ UNMODULATED = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": Non
 
 
 class Frames:
-    """Makes frames for the board of a model. It belongs to one state and reads ticks and points from its Emission.
+    """Makes frames for the board of a model. It belongs to one state, and reads ticks and points from its Emission.
 
-    sounds: whether any stimulus was on in the last frame
+    sounds: whether any stimulus was active in the last frame
     """
 
     sounds = False
@@ -40,7 +40,7 @@ class Frames:
         """Return the bytes that make the board emit the drive of the stimuli at a time [s].
 
         posed: the poses at that time; share: factor on all amplitudes.
-        Raises SceneError for a focus that cannot be made, DeviceError for a drive that the board cannot play.
+        Raises SceneError for an impossible focus, DeviceError for a drive that the board cannot play.
         """
         board = self.model.board
         self.emission.begin(posed, time_s)
@@ -58,9 +58,9 @@ class Frames:
         return board.encode(target)
 
     def target(self, posed: PosedScene, time_s: float) -> Complex:
-        """Return the commanded drive at a time [s] before the board encodes it, shape (N,).
+        """Return the commanded drive at a time [s], before the board encodes it, shape (N,).
 
-        Relative to full drive, e^{-iwt}, with all compensations for the board. Errors as `at`.
+        It is relative to full drive, e^{-iwt}, with all compensations for the board. The errors are those of `at`.
         """
         self.emission.begin(posed, time_s)
         return self._sum(self.emission.placed(posed, time_s), posed, time_s)

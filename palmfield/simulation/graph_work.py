@@ -1,8 +1,8 @@
-"""Memory and kernel launches of a step on a device: one captured graph from frames to forces, sensors and skins.
+"""Memory and kernel launches of a step on a device. One captured graph computes forces, sensors and skins from frames.
 
 One copy sends the frames, the foci or drives, and the part of the state that the device does not keep. Another copy
-returns forces, sensor readings and the numbers of the skins at the end of the step. The inputs are filled and the
-results read by `palmfield.simulation.moving_worlds` (moving bodies) and `palmfield.simulation.scene_graph` (one world).
+returns forces, sensor readings, and the skin states at the end of the step. Two modules fill the inputs and read the
+results: `palmfield.simulation.moving_worlds` (moving bodies) and `palmfield.simulation.scene_graph` (one world).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -51,7 +51,7 @@ from warp_kernels import skin_steps
 from warp_kernels import world_steps as kernels
 
 LOAD, FORCE, NOW = "load", "force", "now"
-"""Purposes of drives: the load of the skins over the step, the mean force over it, and the sensors at its beginning."""
+"""Purposes of drives: load of the skins over the step, mean force over the step, sensors at its beginning."""
 Launches = list[Callable[[], object]]
 PURPOSES = LOAD, FORCE, NOW
 PATH = "counts", "group", "foci", "targets", "aims", "ring", "pushes", "begun", "end", "totals"
@@ -59,8 +59,11 @@ PATH = "counts", "group", "foci", "targets", "aims", "ring", "pushes", "begun", 
 
 
 class GraphSizes(NamedTuple):
-    """Largest sizes that fit in memory. drives, sums: numbers for each of PURPOSES; foci: number of foci of a path,
-    including the first; 0 if drives are the input"""
+    """Largest sizes for which memory is allocated.
+
+    drives, sums: numbers for each of PURPOSES
+    foci: number of foci of a path, including the first; 0 if drives are the input
+    """
 
     drives: tuple[int, ...]
     sums: tuple[int, ...]
@@ -73,13 +76,16 @@ class GraphSizes(NamedTuple):
 
 
 class GraphOf(NamedTuple):
-    """The task of a graph.
+    """What a graph must compute.
 
-    worlds: number of worlds, with the same bodies. probes: places of sensors, each with the number of its skin.
-    skins: steppers by skin number. drives: makes the drives of a path, None if drives are the input.
-    room_for: total number of worlds for which the device must have memory, including other graphs.
-    free: whether frames come from MuJoCo and all worlds step in the same way. Then pressure is computed only at points
-        of steppers, and constant data are not copied again. resident: whether the state stays on the device.
+    worlds: number of worlds, which have the same bodies
+    probes: places of sensors, each with the number of its skin
+    skins: steppers by skin number
+    drives: makes the drives of a path; None if drives are the input
+    room_for: total number of worlds for which the device must have memory, including other graphs
+    free: whether frames come from MuJoCo and all worlds step in the same way. Pressure is then computed only at points
+        of steppers, and constant data are not copied again
+    resident: whether the state stays on the device
     """
 
     worlds: int
@@ -94,9 +100,11 @@ class GraphOf(NamedTuple):
 class GraphWork:
     """Memory and kernel launches for a number of worlds and the largest sizes.
 
-    computes: whether a launch has not been waited for, so that inputs must not be written.
-    inputs: copied to the device. results: copied back. arrays: these and the arrays that stay on the device, by name.
-    load: ARP on the skins, (w m, q); `quadrature` gives the columns of each skin.
+    computes: whether a launch is in progress, so that inputs must not be written
+    inputs: arrays that are copied to the device
+    results: arrays that are copied back
+    arrays: inputs, results, and the arrays that stay on the device, by name
+    load: ARP on the skins, (w m, q); `quadrature` gives the columns of each skin
     """
 
     computes = False
@@ -104,7 +112,7 @@ class GraphWork:
     def __init__(
         self, model: HapticModel, reference: PosedScene, transducers: Transducers, of: GraphOf, sizes: GraphSizes
     ):
-        """Raises DeviceError if the device has too little memory."""
+        """Allocate memory and prepare launches. Raises DeviceError if the device has too little memory."""
         self.of, self.sizes, self.model = of, sizes, model
         device = self.device = transducers.device
         layout = PoseLayout(model)
@@ -226,7 +234,7 @@ class GraphWork:
     def _sounds(
         self, reference: PosedScene, transducers: Transducers, points: ScenePoints, arps: tuple[Any, Any, Any]
     ) -> dict[str, Launches]:
-        """Return launches of the ARP of each purpose; those that place points and shadows belong to the pose."""
+        """Return launches of the ARP of each purpose. Launches that place points and shadows belong to the pose."""
         model, arrays, device = self.model, self.arrays, self.device
         meshes = self._meshes = meshes_of(model, reference, device)
         surfaces: dict[str, list[Surface]] = {name: [] for name in PURPOSES}
@@ -234,7 +242,7 @@ class GraphWork:
         weighing: Launches = []
 
         def add(name: str, skin: int, own: slice, nodes: Callable[[], ShadowNodes]) -> None:
-            """Add a surface; the weights of its shadows belong to the pose."""
+            """Add a surface. The weights of its shadows belong to the pose."""
             spec = model.skins[skin].spec
             mesh = meshes[mesh_number(model, skin)] if spec.config.body_sound == "shadows" else None
             surface = Surface(own, spec.arp_law, mesh.mesh if mesh is not None else None)
@@ -280,7 +288,10 @@ class GraphWork:
         ]
 
     def _stepping(self, skin: int, model: DeviceModel) -> Launches:
-        """Return launches of the step of a skin, without those that read its sensors and store its final state."""
+        """Return launches of the step of a skin.
+
+        Those that read its sensors and store its final state are not included.
+        """
         arrays, device, worlds = self.arrays, self.device, self.of.worlds
         counts, pressure = arrays[f"{LOAD}_counts"], self.load.array[:, self.quadrature[skin]]
         names = "weights", "before", "after", "squares"
@@ -313,7 +324,7 @@ class GraphWork:
         return [*calls, self.results.download]
 
     def replay(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> Callable[[], object]:
-        """Make one function of all these calls; on a GPU it is a captured graph."""
+        """Return one function that makes all these calls. On a GPU it is a captured graph."""
         calls = self.calls(moved, sounds, skins)
         # Refitting a mesh is not recorded on the CPU, and takes memory from the pool on a GPU
         refits = moved and len(self._meshes) > 0
@@ -349,14 +360,14 @@ class GraphWork:
 
 
 def _boxes(model: HapticModel) -> tuple[Float, Float]:
-    """Return middles and half sizes of the boxes of all parts that the sound pushes [m], shapes (p, 3)."""
+    """Return centres and half sizes of the bounding boxes of all parts that the sound pushes [m], shapes (p, 3)."""
     low = np.concatenate([body.boxes.min(axis=1) for body in model.bodies])
     high = np.concatenate([body.boxes.max(axis=1) for body in model.bodies])
     return 0.5 * (low + high), 0.5 * (high - low)
 
 
 def _boards(model: HapticModel) -> Float:
-    """Return normals of the arrays' boards and their heights along them [m], array frame, shape (boards, 4)."""
+    """Return normals of the boards of the arrays, and their heights along them [m], array frame, shape (boards, 4)."""
     result = []
     for board, (place, turn) in zip(model.arrays.boards, model.arrays.frames, strict=True):
         normal = turn[:, 2]
@@ -365,7 +376,7 @@ def _boards(model: HapticModel) -> Float:
 
 
 def _numbers(pairs: Any) -> Any:
-    """Return the memory of pairs (w, n) as an array of numbers, shape (w, 2 n)."""
+    """Return the memory of pairs (w, n) as an array of numbers, shape (w, 2 n), without a copy."""
     worlds, count = pairs.shape
     numbers: Any = wp.array(ptr=pairs.ptr, dtype=wp.float64, shape=(worlds, 2 * count), device=pairs.device)
     numbers.owner = pairs  # keeps the memory alive

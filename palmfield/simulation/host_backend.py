@@ -1,7 +1,8 @@
 """Stages of a step on the host, for all worlds that no graph steps.
 
-Worlds whose sound is one number times one drive are computed together, the others one after the other. Both use the
-same form of drives, forces and loads. Data for later steps are stored under serial numbers of poses and drives.
+In some worlds the sound of a step is one number times one drive. These worlds are computed together, and the others one
+after the other. Both use the same form of drives, forces and loads. Data for later steps are stored under serial
+numbers of poses and drives.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -46,18 +47,23 @@ from palmfield.types import Complex, Float, Float32
 T = TypeVar("T")
 ONE: Float = np.ones((1, 1, 1))
 Loaded = list[tuple[SkinStepper, Rows, SurfaceLoads]]
-"""Steppers of a skin with the numbers of their worlds (w,) and the loads there."""
+"""Steppers of a skin, with the numbers of their worlds (w,) and the loads in these worlds."""
 TOGETHER = 16
-"""Largest number of steps in one pose that are computed together. More steps do not reduce the cost of each."""
+"""Largest number of steps in one pose that are computed together.
+
+A larger number would not reduce the cost per step.
+"""
 MOST_STORED = 64
-"""Number of cached assignments of worlds to steppers."""
+"""Largest number of cached assignments of worlds to steppers."""
 
 
 class Sounding(NamedTuple):
-    """One drive in each of some worlds, and its factor on their ARP.
+    """One drive in each of some worlds, with a factor on its ARP.
 
-    worlds: their numbers, ascending, shape (g,); keys: serial numbers of pose and drive, shape (g, 2)
-    factors: multiply the ARP of the drive, shape (g,); unit: returns the drive of a world by its number, shape (N,)
+    worlds: numbers of the worlds, ascending, shape (g,)
+    keys: serial numbers of pose and drive, shape (g, 2)
+    factors: factors on the ARP of the drive, shape (g,)
+    unit: function that returns the drive of a world by its number, shape (N,)
     """
 
     worlds: Rows
@@ -69,14 +75,14 @@ class Sounding(NamedTuple):
 class HostBackend(Backend):
     """Computes the stages for all worlds, or for those that no other backend steps.
 
-    smooth: handles the worlds whose sound is one number times one drive.
+    smooth: object that computes the worlds whose sound is one number times one drive
     """
 
     moves_smoothly = True
     """Whether `smooth` may include worlds whose pose changes in every step."""
 
     def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
-        """alone: whether no other code writes the state"""
+        """models, works, state: as in `Steps`; alone: whether no other code writes the state"""
         super().__init__(models, works, state)
         worlds, first = len(models), models[0]
         able = [self.moves_smoothly or all(skin.settles for skin in model.skins) for model in models]
@@ -119,7 +125,7 @@ class HostBackend(Backend):
         self.smooth.leave_out(world)
 
     def watch(self, skin: int, place: SensorPlace) -> None:
-        """Do nothing: the host computes a reading when it is read."""
+        """Do nothing, because the host computes a reading only when it is read."""
 
     def adopt(self, other: "HostBackend") -> None:
         """Continue from another HostBackend, whose state has been copied, in the same PosedScenes."""
@@ -143,7 +149,7 @@ class HostBackend(Backend):
         return np.sort(np.concatenate([self.smooth.joined, apart])) if self._several else apart
 
     def _begin(self, posed: Mapping[int, PosedScene]) -> None:
-        """Take the poses of some worlds, and drop the sound of the last step."""
+        """Store the poses of some worlds, and drop the sound of the last step."""
         for world, now in posed.items():
             self._posed[world], self._poses[world] = now, now.serial
         self._present = None
@@ -162,7 +168,7 @@ class HostBackend(Backend):
         self._emitted[0] = self.state.emission()[0]
 
     def _hold_world(self, world: int, t0: float) -> None:
-        """Update foci whose control tick is due; after a reset drop held foci and precomputed steps."""
+        """Update foci whose control tick is due. After a reset, drop old foci and steps computed ahead."""
         emission = self.works[world].emission
         if untouched(self._states[world]):
             emission.forget()
@@ -182,7 +188,7 @@ class HostBackend(Backend):
             self._in(self._emit_one, world, t0)
 
     def _loud(self, factors: Float) -> Sounding:
-        """Return the worlds of `smooth` with sound; factors: multiply the ARP of their unit drives, shape (g,)."""
+        """Return the worlds of `smooth` with sound. factors: factors on the ARP of their unit drives, shape (g,)"""
         loud = factors > 0.0
         return Sounding(self.smooth.joined[loud], self._smooth_keys[loud], factors[loud], self.smooth.unit)
 
@@ -201,7 +207,7 @@ class HostBackend(Backend):
         return self.joined
 
     def _press_one(self, world: int, mean: MeanDrives) -> None:
-        """Compute the mean ARP of a world at the samples of each body. For a single drive, `push` computes it."""
+        """Compute the mean ARP of a world at the samples of each body. For a single drive, `push` does this."""
         work, posed = self.works[world], self._posed[world]
         for body, pressed in enumerate(self._pressed):
             skin, arp = self.models[0].first_skins[body], None
@@ -215,7 +221,7 @@ class HostBackend(Backend):
                 self._singles[body].append(self._single(world, mean.weights, mean.units[0], mean.serial))
 
     def _single(self, world: int, factors: Float, drive: Complex, serial: int) -> Sounding:
-        """Return the Sounding of one drive in one world."""
+        """Return the Sounding for one drive in one world."""
         keys = np.array([[self._poses[world], serial]])
         return Sounding(np.array([world]), keys, factors, {world: drive}.__getitem__)
 
@@ -269,14 +275,14 @@ class HostBackend(Backend):
             arp[one.worlds] = one.factors * made
 
     def _sounds_now(self, world: int) -> list[Sounding]:
-        """Return the drives at the start of the step in a world that is stepped separately; empty in silence."""
+        """Return the drives at the start of the step, in a world that is stepped separately; empty in silence."""
         work, posed = self.works[world], self._posed[world]
         course = work.emission.now(posed, self._emitted[world], self._begun_s)
         drive, factor = present_drive(course)
         return [] if drive is None else [self._single(world, np.array([factor]), drive, course.serial)]
 
     def _probe(self, world: int, skin: int, place: SensorPlace, one: Sounding) -> float:
-        """Return the ARP at a sensor [Pa] due to the drive of a world."""
+        """Return the ARP at a sensor [Pa] that the drive of a world causes."""
         posed = self._posed[world]
         body = posed.bodies[self.models[0].skins[skin].body]
         points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
@@ -296,13 +302,13 @@ class HostBackend(Backend):
             self._in(self._step_one, world, t0, t1, skins)
 
     def _check(self, world: int) -> None:
-        """Start a run if the state has no writer. SceneError for the state of another model."""
+        """Start a run if the state has no writer. Raises SceneError for the state of another model."""
         if check_arrays(self.models[world], self._states[world]):
             self.works[world].begin_run()
             self._served[:, world] = 0
 
     def _step_smooth(self, t0: float, t1: float, skins: bool) -> None:
-        """Do `step_skins` in the worlds of `smooth`."""
+        """Run `step_skins` in the worlds of `smooth`."""
         model, smooth = self.models[0], self.smooth
         worlds, moments = smooth.joined, substep_moments((), t0, model.step_s, model.substeps)
         levels, end = smooth.over(moments)
@@ -327,7 +333,7 @@ class HostBackend(Backend):
         smooth.advance(end)
 
     def _step_one(self, world: int, t0: float, t1: float, skins: bool) -> None:
-        """Do `step_skins` in a world that is stepped separately."""
+        """Run `step_skins` in a world that is stepped separately."""
         model, posed, state = self.models[world], self._posed[world], self._states[world]
         begun = self._emitted[world]
         count = round((t1 - t0) / model.step_s)
@@ -342,11 +348,11 @@ class HostBackend(Backend):
             state.set_emission(slice(None), course.end[None])
 
     def _course(self, world: int, begun: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
-        """Return the emission of a world that is stepped separately; begun: emission at t0 [s], shape (N,)."""
+        """Return the emission of a world that is stepped separately. begun: emission at t0 [s], shape (N,)"""
         return self.works[world].emission.over(self._posed[world], begun, t0, count)
 
     def _step_all(self, group: StepTrace, t0: float, t1: float) -> None:
-        """Step all skins of some worlds, in place, and pass the observed motion to the observer."""
+        """Step all skins of some worlds in place, and pass the observed motion to the observer."""
         motion = []
         for skin in range(len(self.models[0].skins)):
             if not self._anywhere[skin]:
@@ -364,7 +370,7 @@ class HostBackend(Backend):
             self.observer(group._replace(motion=tuple(motion)))
 
     def _leave_small_models(self, group: StepTrace, skin: int, t0: float) -> None:
-        """Replace reduced models by the full layer in worlds where something has moved."""
+        """Replace reduced models by the full layer in worlds in which something has moved."""
         worlds, served = group.worlds, self._served[skin]
         moved = (served[worlds] != self._poses[worlds]) & (self.state.skins[skin][worlds, 0] != WHOLE)
         if not np.logical_or.reduce(moved):
@@ -389,7 +395,7 @@ class HostBackend(Backend):
         )
 
     def _continue_whole(self, group: StepTrace, i: int, skin: int, t0: float) -> None:
-        """Continue with the full layer from the motion of a skin in the i-th world."""
+        """Continue with the full layer, from the present motion of a skin in the i-th world."""
         world = int(group.worlds[i])
         work, state = self.works[world], self._states[world]
         continue_on_whole_layer(
@@ -397,9 +403,11 @@ class HostBackend(Backend):
         )
 
     def _leave_class(self, group: StepTrace, skin: int, loaded: Loaded, t0: float) -> bool:
-        """Measure the part of the loads outside the class of the modes of a skin; if large, the whole layer takes over.
+        """Measure the part of the loads outside the class of the modes of a skin.
 
-        Returns whether any world does so.
+        If it is large, the full layer takes over.
+
+        Returns whether this happened in any world.
         """
         left = False
         for stepper, own, loads in loaded:
@@ -420,7 +428,10 @@ class HostBackend(Backend):
     def _outside(
         self, skin: int, stepper: SkinStepper, worlds: Rows, keys: Serials, loads: SurfaceLoads
     ) -> list[Outside]:
-        """Return the part of the loads on a skin outside the class of its modes; keys: as in StepTrace, (w, 2)."""
+        """Return the part of the loads on a skin that is outside the class of its modes.
+
+        keys: as in StepTrace, (w, 2)
+        """
         if not loads.fixed or not self._several:
             return [stepper.outside(loads)]
         squares = np.add.reduce(stepper.mixed(loads) ** 2, axis=(1, 2))
@@ -435,7 +446,7 @@ class HostBackend(Backend):
     def _step(
         self, skin: int, stepper: SkinStepper, worlds: Rows, loads: SurfaceLoads, times: tuple[float, float]
     ) -> Float | Float32 | None:
-        """Step a skin in some worlds by one stepper. The points watched in the first world are watched in all."""
+        """Step a skin in some worlds by one stepper. The points observed in the first world are observed in all."""
         part, numbers = self.state.skins[skin], slice(HEADER, HEADER + stepper.state_size)
         self._claim(skin, stepper, worlds)
         together = self._several and int(worlds[0]) not in self._apart
@@ -450,15 +461,19 @@ class HostBackend(Backend):
         return observed
 
     def _claim(self, skin: int, stepper: SkinStepper, worlds: Rows) -> None:
-        """Write a stepper into the states of a skin. Raises an error for a state in motion without a writer."""
+        """Write the mark of a stepper into the states of a skin.
+
+        Raises an error for a moving state without a writer.
+        """
         part = self.state.skins[skin]
         for world in worlds.tolist() if not self._several else worlds[part[worlds, 0] == 0.0].tolist():
             claim(self.models[world], self._states[world], skin, stepper)
 
     def _loads(self, group: StepTrace, skin: int) -> Loaded:
-        """Return the steppers of a skin with their worlds and loads. Patterns stay one array while pose and drive do.
+        """Return the steppers of a skin with their worlds and loads.
 
-        If the load is one pattern, steppers may store results computed from it.
+        The patterns stay one array while pose and drive stay the same. If the load is one pattern, steppers may cache
+        results that they compute from it.
         """
         loaded = []
         for stepper, own in self.steppers(skin, group.worlds):
@@ -470,7 +485,9 @@ class HostBackend(Backend):
         return loaded
 
     def _stacked(self, group: StepTrace, skin: int, stepper: SkinStepper, at: Rows) -> Float32:
-        """Return ARP patterns in some worlds of a group [Pa], shape (w, p, n), once for equal poses and drives.
+        """Return ARP patterns in some worlds of a group [Pa], shape (w, p, n).
+
+        Equal poses and drives are computed once.
 
         at: indices of the worlds in the group
         """
@@ -488,7 +505,10 @@ class HostBackend(Backend):
         return np.stack(patterns)
 
     def _patterns(self, world: int, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
-        """Return the patterns of ARP [Pa] for the `weights` of a course at the points of a stepper, shape (p, n)."""
+        """Return the ARP patterns [Pa] at the points of a stepper, shape (p, n).
+
+        The `weights` of a course apply to them.
+        """
         work, posed = self.works[world], self._posed[world]
         path = work.path_sound
         role: Role = "quadrature" if stepper.points is None else "load"
@@ -519,10 +539,10 @@ class HostBackend(Backend):
         return found
 
     def _on_device(self, skin: int, stepper: SkinStepper) -> DeviceStep | None:
-        """Return the GPU version of a stepper of a skin, stored; None without a GPU or such a version."""
+        """Return the GPU version of a stepper of a skin, cached. None without a GPU or without such a version."""
         return self._own.of((skin, stepper), (), stepper.device_worlds, len(self.models), self._device)
 
     def _named(self, function: Callable[..., T], world: int, *arguments: Any) -> T:
-        """Return the result of a function for one of several worlds; its errors name the world."""
+        """Return the result of a function for one of several worlds. Its errors name the world."""
         with naming_world(world):
             return function(world, *arguments)

@@ -1,7 +1,7 @@
 """Constant data of a scene in a run: phased arrays, stimuli, surfaces, skin layers and their steppers.
 
-`palmfield.simulation.build.build` makes the model. All mjData of the scene and all threads share it. Costly parts are
-made once, at first use.
+`palmfield.simulation.build.build` makes the model. All mjData of the scene and all threads share it. Parts that take
+long to make are made once, at the first use.
 """
 
 import threading
@@ -43,19 +43,23 @@ if TYPE_CHECKING:  # imported at use: many bodies are in one piece, and most sti
 
 
 STILL = 0.05
-"""A body or focus counts as still if it moves less than this factor times accuracy times spot width. The load error is
-then below a tenth of the accuracy (displacement over standard deviation, over sqrt 2)."""
+"""Factor that defines "still": a body or focus that moves less than this factor times accuracy times spot width.
+
+The error of the load is then below a tenth of the accuracy (displacement over standard deviation, over sqrt 2).
+"""
 
 
 @dataclass(frozen=True)
 class StimulusModel:
     """One stimulus with the transducers that it drives.
 
-    config: its keys, with the length of a path through sites. transducers: numbers of driven transducers, (k,).
-    path: path on the skin, None in space. offsets: offsets of simultaneous foci [m], shape (m, 3), or (0, 3).
-    response: ring-up and flight time of its transducers.
-    reference_foci: the first foci in the reference pose, array frame [m], shape (3,) or (m, 3).
-    silent: whether it never sounds.
+    config: its keys, with the length of a path through sites
+    transducers: numbers of the driven transducers, shape (k,)
+    path: path on the skin; None in space
+    offsets: offsets of simultaneous foci [m], shape (m, 3), or (0, 3)
+    response: ring-up and flight time of its transducers
+    reference_foci: the first foci in the reference pose, array frame [m], shape (3,) or (m, 3)
+    silent: whether it never sounds
     """
 
     spec: StimulusSpec
@@ -75,15 +79,16 @@ class StimulusModel:
 
 
 class BodyModel:
-    """A body that carries skin: its surface and the bones that move it, in the frame of the body.
+    """A body that carries skin: its surface, and the bones that move it, in the frame of the body.
 
-    name: name of the MuJoCo body. surface: the whole closed surface, None for a disc, whose lit face is the skin.
-    hand: the surface with its bones, None for a body in one piece.
-    depth_to_bone_m: depth by vertex of the surface, shape (v,), or one depth for all.
+    name: name of the MuJoCo body
+    surface: the whole closed surface; None for a disc, whose lit face is the skin
+    hand: the surface with its bones; None for a body in one piece
+    depth_to_bone_m: depth at each vertex of the surface, shape (v,), or one depth for all
     """
 
     force_accuracy: float = BY_DEFAULT
-    """Relative accuracy of the force of the sound from the samples."""
+    """Relative accuracy of the force of the sound that is computed from the samples."""
 
     def __init__(
         self, name: str, surface: Surface | None, hand: "SkinnedSurface | None", depth_to_bone_m: Float | float
@@ -92,37 +97,37 @@ class BodyModel:
         self.lock = threading.RLock()
         origins = [] if hand is None else [bone.origin for bone in hand.bones]
         self.rest_origins: Float = np.array(origins).reshape(-1, 3)
-        """Return the origins of the bones at rest [m], shape (b, 3); b is 0 for a body in one piece."""
+        """Origins of the bones at rest [m], shape (b, 3). b is 0 for a body in one piece."""
 
     @property
     def parts(self) -> int:
-        """Return the number of MuJoCo bodies that the sound pushes: the bones, or one."""
+        """Return the number of MuJoCo bodies that the sound pushes: the bones, or 1."""
         return max(1, len(self.rest_origins))
 
     @locked_cached_property
     def query_mesh(self) -> wp.Mesh:
-        """Return the resting surface for queries of nearest faces. Not for a disc."""
+        """Return the resting surface for queries of nearest faces. A disc has none."""
         assert self.surface is not None
         return build_mesh(self.surface.vertices, self.surface.faces)
 
     @locked_cached_property
     def sample_mesh(self) -> SampleMesh:
-        """Return the triangles whose middles are the samples for the force, at rest."""
+        """Return the triangles at rest whose centres are the samples for the force."""
         vertices, faces, parents = self._short_edged
         made = sample_mesh(vertices, faces, self.force_accuracy)
         return made if parents is None else made._replace(faces=parents[made.faces])
 
     @locked_cached_property
     def sample_count(self) -> int:
-        """Return about how many samples `sample_mesh` has, without making them."""
+        """Return the approximate number of samples of `sample_mesh`, without making them."""
         vertices, faces, _ = self._short_edged
         return sample_count(face_normals(vertices, faces)[1], self.force_accuracy)
 
     @locked_cached_property
     def _short_edged(self) -> tuple[Float, Int, Int | None]:
-        """Return vertices [m] and faces of the resting surface, with short edges for samples, and the original faces.
+        """Return vertices [m] and faces of the resting surface, subdivided for samples, and the original face of each.
 
-        Edges of hands are short already, so their faces are unchanged.
+        Edges of hands are already short, so their faces are unchanged.
         """
         if self.hand is not None:
             return self.hand.surface.vertices, self.hand.surface.faces, None
@@ -131,7 +136,10 @@ class BodyModel:
 
     @locked_cached_property
     def sampled(self) -> "SkinnedSurface":
-        """Return the triangles of the samples with their bones; the hand itself if each of its faces is a sample."""
+        """Return the triangles of the samples with their bones.
+
+        If each face of the hand is a sample, return the hand itself.
+        """
         assert self.hand is not None
         mesh = self.sample_mesh
         if mesh.corners is self.hand.surface.faces:
@@ -151,11 +159,14 @@ class BodyModel:
 
     @locked_cached_property
     def rest_samples(self) -> tuple[Float, Float, Float]:
-        """Return points [m], outward normals, shapes (n, 3), and areas [m^2], (n,), of a surface in one piece."""
+        """Return points [m] and outward normals of the samples, shapes (n, 3), and areas [m^2], (n,).
+
+        This is for a body in one piece.
+        """
         return face_samples(self.sample_mesh.points, self.sample_mesh.corners)
 
     def posed_samples(self, vertices: Float, frame: Transform) -> tuple[Float, Float, Float]:
-        """Move `sampled`: points [m], outward normals, outer frame, shapes (n, 3), and areas [m^2], (n,)."""
+        """Return `sampled` in a pose: points [m] and outward normals, outer frame, shapes (n, 3); areas [m^2], (n,)."""
         with self.lock:
             samples = self._sampler.at(vertices)
             return *frame.surface(samples.centroids, samples.normals), samples.areas.copy()
@@ -169,9 +180,10 @@ class BodyModel:
 
     @locked_cached_property
     def boxes(self) -> Float:
-        """Return corners of a box around the part of the resting surface on each bone, from its origin, (b, 8, 3) [m].
+        """Return the corners of a box around the part of the resting surface on each bone, (b, 8, 3) [m].
 
-        For a body in one piece the box is around its whole surface, from its origin.
+        The corners are relative to the origin of the bone. For a body in one piece, the box is around its whole
+        surface.
         """
         assert self.surface is not None
         if self.hand is None:
@@ -185,7 +197,7 @@ class BodyModel:
         )
 
     def bind(self, points: Float) -> "SkinBinding | None":
-        """Return the bones that carry points of the resting skin [m], shape (n, 3); None for a body in one piece."""
+        """Return the bones that carry points of the resting skin [m], shape (n, 3). None for a body in one piece."""
         if self.hand is None:
             return None
         from palmfield.hand.posed_surface import SkinBinding
@@ -196,10 +208,13 @@ class BodyModel:
 class SkinModel:
     """One skin layer on its body.
 
-    body: number of the body that carries it; carrier: that body. layer: mesh and matrices.
-    choice: choice of its stepper. still_m: smaller movements count as still [m].
-    settles: whether the body is put at its reference pose while it is still; by default this depends on whether a
-    reduced model steps the layer.
+    body: number of the body that carries it
+    carrier: that body
+    layer: mesh and matrices
+    choice: choice of its stepper
+    still_m: largest movement that counts as still [m]
+    settles: whether a body that is still is put at its reference pose; by default this is so if a reduced model steps
+        the layer
     """
 
     def __init__(
@@ -218,7 +233,7 @@ class SkinModel:
 
     @property
     def solver(self) -> LayerSolver:
-        """Return the layer in the form that its solver uses."""
+        """Return the layer in the form that its solver needs."""
         return layer_solver(self.layer, self.choice.name)
 
     @locked_cached_property
@@ -281,12 +296,12 @@ class SkinModel:
 
     @locked_cached_property
     def surface_vectors(self) -> sparse.csr_matrix:
-        """Return the operator from unknowns to displacements of the surface nodes, three a node, shape (3 S, ndof)."""
+        """Return the operator from unknowns to displacements of the surface nodes, shape (3 S, ndof)."""
         return surface_vectors(self.layer.mesh, self.layer.system)
 
     @locked_cached_property
     def innervation(self) -> "Innervation | None":
-        """Return the afferents of the layer, None with key `receptors` off."""
+        """Return the afferents of the layer. None if key `receptors` is off."""
         if self.spec.config.receptors == "off":
             return None
         from palmfield.simulation.innervation import innervation_of
@@ -295,7 +310,10 @@ class SkinModel:
 
     @locked_cached_property
     def recorded(self) -> sparse.csr_matrix:
-        """Return the operator from unknowns to what a run records: `surface_vectors`, then motion at the afferents."""
+        """Return the operator from unknowns to the quantities that a run records.
+
+        These are `surface_vectors`, and then the motion at the afferents.
+        """
         units = self.innervation
         return self.surface_vectors if units is None else sparse.vstack([self.surface_vectors, units.operator], "csr")
 
@@ -307,7 +325,7 @@ class SkinModel:
 
     @locked_cached_property
     def sample_faces(self) -> sparse.csr_matrix:
-        """Return the matrix from ARP at force samples to means on faces of `closed_surface`, shape (faces, samples)."""
+        """Return the matrix from ARP at force samples to means on faces of `closed_surface`, (faces, samples)."""
         vertices, faces = self.closed_surface
         centroids, _, face_areas = face_samples(vertices, faces)
         if self.carrier.surface is not None:
@@ -328,9 +346,11 @@ class SkinModel:
 class HapticModel:
     """All data of a scene that are constant in a run.
 
-    arrays: arrays in their relative pose of the reference configuration. board: the one that plays the drive.
-    begin: the first stepper of each skin. whole: the stepper of its whole layer.
-    marks: numbers that identify states, see `palmfield.simulation.state`; filled at first use.
+    arrays: arrays in their relative pose in the reference configuration
+    board: board that plays the drive
+    begin: first stepper of each skin
+    whole: stepper of the full layer of each skin
+    marks: numbers that identify states, see `palmfield.simulation.state`; filled at the first use
     """
 
     spec: SceneSpec
@@ -350,7 +370,7 @@ class HapticModel:
 
     @cached_property
     def response_on(self) -> bool:
-        """Whether ring-up is modelled, for all transducers or for none: they share one state."""
+        """Whether ring-up is modelled. This is so for all transducers or for none, because they share one state."""
         return self.stimuli[0].response.on
 
     @cached_property
@@ -360,12 +380,15 @@ class HapticModel:
 
     @cached_property
     def sounding(self) -> int:
-        """Return the number of the first stimulus that sounds; 0 in silence."""
+        """Return the number of the first stimulus that is not silent; 0 in silence."""
         return next((number for number, stimulus in enumerate(self.stimuli) if not stimulus.silent), 0)
 
     @cached_property
     def substeps(self) -> int:
-        """Return the number of substeps in one MuJoCo step; all skins share it, so that results have one time axis."""
+        """Return the number of substeps in one MuJoCo step.
+
+        It is the same for all skins, so that results have one time axis.
+        """
         return round(self.spec.timestep_s / self.step_s)
 
     @cached_property
@@ -386,9 +409,10 @@ class HapticModel:
 
     @cached_property
     def still_m(self) -> tuple[float, ...]:
-        """Return for each body the movement below which it counts as still for all of its skins [m].
+        """Return, for each body, the largest movement that counts as still for all of its skins [m].
 
-        It is the minimum over its skins; 0 for a body without a reduced model, because other steppers gain nothing.
+        It is the minimum over its skins. It is 0 for a body without a reduced model, because other steppers gain
+        nothing from it.
         """
         carried = [[self.skins[number] for number in self.carried(body)] for body in range(len(self.bodies))]
         return tuple(
@@ -405,7 +429,7 @@ class HapticModel:
 
     @cached_property
     def first_skins(self) -> tuple[int, ...]:
-        """Return for each body the number of its first skin, whose keys apply to the force on the body."""
+        """Return the number of the first skin of each body. The keys of this skin apply to the force on the body."""
         return tuple(self.carried(body)[0] for body in range(len(self.bodies)))
 
     def carried(self, body: int) -> list[int]:
@@ -414,7 +438,7 @@ class HapticModel:
 
 
 def about_stimulus(spec: StimulusSpec) -> tuple[str, str]:
-    """Return the names of a stimulus and of its foci for error messages."""
+    """Return the names of a stimulus and of its foci, for error messages."""
     return spec.element, "key 'focus_m'"
 
 

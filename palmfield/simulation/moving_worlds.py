@@ -1,8 +1,8 @@
-"""Worlds with moving bodies on a device: one captured graph computes sound, forces and modes of all of them.
+"""Worlds with moving bodies on a device. One captured graph computes sound, forces and modes of all of them.
 
-One copy sends poses and foci; another returns forces, sensor readings and the part of the loads outside the class
-of the modes. Emission and skin states stay on the device from step to step, and are copied back when they are
-read. Only data for many steps ahead are computed world by world. The host computes all other worlds.
+One copy sends poses and foci. Another copy returns forces, sensor readings, and the part of the loads outside the class
+of the modes. Emission and skin states stay on the device from step to step, and are copied back only when they are
+read. World by world, only data for many steps ahead are computed. The host computes all other worlds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,10 +38,12 @@ AHEAD = 32
 
 
 class _Ahead(NamedTuple):
-    """Motion and level of stimuli in coming steps, by kind. starts: start times of the steps [s], shape (s,).
+    """Motion and level of stimuli in coming steps, by kind of stimulus.
 
-    foci: foci at the moments and at the beginning, in the frame of the stimulus [m], shape (kinds, s, m + 1, 3).
-    levels: levels of the pressure at the same times, shape (kinds, s, m + 1). means: mean ARP of each step, (kinds, s).
+    starts: start times of the steps [s], shape (s,)
+    foci: foci at the moments and at the beginning, in the frame of the stimulus [m], shape (kinds, s, m + 1, 3)
+    levels: levels of the pressure at the same times, shape (kinds, s, m + 1)
+    means: mean ARP of each step, shape (kinds, s)
     """
 
     starts: list[float]
@@ -67,8 +69,8 @@ class MovingWorlds(Backend):
         first: int,
         room_for: int,
     ):
-        """first: number of the first of these worlds. room_for: number of worlds for which the device must have memory.
-
+        """first: number of the first of these worlds
+        room_for: number of worlds for which the device must have memory
         alone: whether no other code writes the state, which then stays on the device from step to step
         """
         super().__init__(models, works, state)
@@ -154,14 +156,17 @@ class MovingWorlds(Backend):
         return joins.nonzero()[0] + self.own.start
 
     def _release(self, joins: Bool) -> None:
-        """Copy the state of worlds that another backend steps back from the device."""
+        """Copy from the device the state of worlds that another backend steps now."""
         if np.logical_or.reduce(self._here & ~joins):
             self.fetch()
             self._here &= joins
 
     def _made(self) -> GraphWork | None:
-        """Return memory and graph for the present sensors; None from now on if the stepper of a skin differs from the
-        chosen one. Raises DeviceError if the device has too little memory."""
+        """Return memory and graph for the present sensors.
+
+        If a skin has another stepper than the chosen one, the result is None from then on. Raises DeviceError if the
+        device has too little memory.
+        """
         first = self.models[0]
         steppers: dict[int, DeviceModel] = {}
         for number, skin in enumerate(first.skins):
@@ -207,7 +212,7 @@ class MovingWorlds(Backend):
         self._begin_class(work.of.skins)
 
     def _begin_class(self, steppers: Mapping[int, DeviceModel]) -> None:
-        """Set the reference load against which the load outside the class is compared in each world."""
+        """Set the reference load in each world, to which the load outside the class is compared."""
         for number, model in steppers.items():
             loudest: dict[int, float] = {}
             for world, kind in enumerate(self._kinds.tolist()):
@@ -222,7 +227,7 @@ class MovingWorlds(Backend):
                 self._sums[number, :, world] = outside.sums
 
     def _bring(self, work: GraphWork, joins: Bool) -> None:
-        """Copy the state of worlds that join to the device, if it is not there yet."""
+        """Copy the state of worlds that join to the device, unless it is already there."""
         if not (joins & ~self._here).any():
             return
         self.fetch()
@@ -306,7 +311,7 @@ class MovingWorlds(Backend):
         return _Ahead(starts, np.array(foci), np.array(levels), np.array(means))
 
     def _good(self, work: GraphWork) -> Bool:
-        """Return the worlds with valid results: no body near a board, foci that can be made, loads in the class."""
+        """Return the worlds with valid results: no body near a board, possible foci, and loads in the class."""
         hosts = work.results.hosts
         good = np.logical_and.reduce(hosts["heights"] >= CLEARANCE_M, axis=1)
         levels = self._levels[self._kinds]
@@ -373,8 +378,11 @@ class MovingWorlds(Backend):
 
 
 def may_join(model: HapticModel) -> bool:
-    """Return whether sound and skins of a world can be computed here. Needs: equal transducers at rest, one focus that
-    moves and changes level without jumps, surfaces without shadows, and skins that move by modes."""
+    """Return whether sound and skins of a world can be computed here.
+
+    This requires equal transducers that do not move, one focus that moves and changes level without jumps, surfaces
+    without shadows, and skins with modes.
+    """
     if len(model.stimuli) != 1 or PoseLayout(model).movable or model.substeps < 2:
         return False
     part, drive = model.stimuli[0], array_drives(model, model.arrays)[0]

@@ -1,4 +1,4 @@
-"""ARP along a predicted path, on bodies at rest, computed from a few stored fields."""
+"""ARP along a predicted path, on bodies at rest. It is computed from a few stored fields."""
 
 from typing import TYPE_CHECKING
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 class PathSound:
     """Computes ARP on the skins of a model and on their bodies. It belongs to one state and to one thread at a time.
 
-    off: number of consecutive courses off the path
-    reference: as returned by `reference_scene`: the fields are valid only in this pose
+    off: number of consecutive courses that left the path
+    reference: result of `reference_scene`; the stored fields are valid only in this pose
     """
 
     def __init__(
         self, model: HapticModel, radiation: Radiation, reference: PosedScene, beside: "PathSound | None" = None
     ):
-        """beside: the PathSound of another world stepped by the same thread; both share results for the same stimuli"""
+        """beside: PathSound of another world that the same thread steps. Both share results for the same stimuli"""
         self.model, self.radiation, self.reference = model, radiation, reference
         self.off = 0
         same = beside is not None and beside.model.spec.stimuli == model.spec.stimuli
@@ -44,8 +44,8 @@ class PathSound:
     def arp(self, posed: PosedScene, skin: int, role: Role, drives: Complex) -> Float32 | None:
         """Return the ARP [Pa] of drives (m, N) at the points of a skin for a role, shape (m, n).
 
-        None if the pose differs, a drive is off the path, or the stored fields cannot span its sound. The result is a
-        view of a buffer that the next call for the same number of drives overwrites.
+        The result is None if the pose differs, if a drive is off the path, or if the stored fields cannot represent its
+        sound. Otherwise it is a view of a buffer; the next call with the same number of drives overwrites it.
         """
         if not self.holds(posed):
             return None

@@ -1,7 +1,7 @@
-"""One pose of the MuJoCo bodies and its data for sound and skin, in the frame of the first array.
+"""One pose of the MuJoCo bodies, and its data for sound and skin, in the frame of the first array.
 
-A PosedScene is made once per MuJoCo step. It computes the data that depend on the pose at first use and stores them.
-The scene and its parts have serial numbers, which are the keys of stored fields.
+A PosedScene is made once per MuJoCo step. Data that depend on the pose are computed at the first use and stored. The
+scene and its parts have serial numbers, which are the keys of stored fields.
 """
 
 from collections.abc import Sequence
@@ -30,9 +30,12 @@ NO_FRAMES: tuple[Float, Float] = np.zeros((0, 3)), np.zeros((0, 3, 3))
 class PoseLayout:
     """Order of the rows in the list of all world frames on which the sound and the skins of a scene depend.
 
-    Rows are the arrays, the frames of the stimuli, the transducers that are sites, each body with its bones, and the
-    obstacles of each skin. transducers: one slice per array; bodies: row and bones; obstacles: obstacles by skin.
-    movable: whether transducers may move relative to each other: several arrays, or transducers that are sites.
+    The rows are the arrays, the frames of the stimuli, the transducers that are sites, each body with its bones, and
+    the obstacles of each skin.
+    transducers: one slice per array
+    bodies: rows of each body and its bones
+    obstacles: rows of the obstacles, by skin
+    movable: whether transducers may move relative to each other: several arrays, or transducers that are sites
     """
 
     def __init__(self, model: HapticModel):
@@ -54,12 +57,15 @@ class PoseLayout:
 
 
 class PosedSurface:
-    """One body in one pose; data are computed at first use.
+    """One body in one pose. Data are computed at the first use.
 
-    model: the body at rest. skin: the first skin on it. frame: frame of the body in that of the first array.
+    model: the body at rest
+    skin: the first skin on it
+    frame: frame of the body relative to that of the first array
     bone_positions, bone_rotations: poses of the bones in the frame of the body, shapes (b, 3) and (b, 3, 3); empty for
-    a body in one piece.
-    serial: unique number. numbers: numbers of the pose, as bytes: only if they are equal, a stored field may be reused.
+        a body in one piece
+    serial: unique number
+    numbers: numbers of the pose, as bytes; a stored field may be used again only if they are equal
     """
 
     def __init__(self, model: BodyModel, skin: SkinModel, frame: Transform, bones: tuple[Float, Float]):
@@ -99,7 +105,7 @@ class PosedSurface:
 
     @cached_property
     def samples(self) -> tuple[Float, Float, Float]:
-        """Return points for the force on the body [m], outward normals, array frame, (n, 3), and areas [m^2], (n,)."""
+        """Return the samples for the force: points [m] and outward normals, array frame, (n, 3); areas [m^2], (n,)."""
         if self.model.surface is None:
             quadrature = self.skin.layer.quadrature
             points, normals, areas = quadrature.points, quadrature.normals, quadrature.weights
@@ -114,7 +120,7 @@ class PosedSurface:
 
     @property
     def sample_parts(self) -> Int:
-        """Return for each sample the number of the body in `origins` that it pushes, shape (n,)."""
+        """Return for each sample the index in `origins` of the body that it pushes, shape (n,)."""
         if self.model.hand is None:
             return np.zeros(len(self.samples[2]), np.int32)
         return self.model.sample_bones
@@ -133,11 +139,10 @@ class PosedSurface:
 
 
 class PosedSkin:
-    """One skin layer in one pose; positions are in the array frame.
+    """One skin layer in one pose. Positions are in the array frame.
 
-    obstacle_positions, obstacle_rotations: poses of the obstacles other than bodies with skins, in the frame of the
-    body
-    numbers: numbers of their poses, as bytes
+    obstacle_positions, obstacle_rotations: poses, in the frame of the body, of obstacles that are not bodies with skins
+    numbers: numbers of these poses, as bytes
     """
 
     def __init__(self, skin: SkinModel, body: PosedSurface, obstacles: tuple[Float, Float]):
@@ -165,7 +170,7 @@ class PosedSkin:
 
     @cached_property
     def obstacles(self) -> tuple[Float, Int] | None:
-        """Return vertices [m] and faces of the obstacles that key `obstacles` names; None without any."""
+        """Return vertices [m] and faces of the obstacles that key `obstacles` names. None without obstacles."""
         if not self.skin.obstacles:
             return None
         shapes, slices, faces = self.skin.obstacles_in_one
@@ -180,10 +185,12 @@ class PosedSkin:
 class PosedScene:
     """Arrays, frames of the stimuli, bodies and skins in one pose.
 
-    array_frame: frame of the first array in the world.
-    arrays: all arrays in their relative pose. frames: frame of each stimulus in that of the first array.
-    sources: the numbers from which `arrays` was made, if arrays or transducers may move. serial: unique number.
-    sound_keys: key of each skin, equal for poses in which a drive gives the same sound on the skin.
+    array_frame: frame of the first array in the world
+    arrays: all arrays in their relative pose
+    frames: frame of each stimulus relative to that of the first array
+    sources: numbers from which `arrays` was made, if arrays or transducers may move
+    serial: unique number
+    sound_keys: key of each skin. It is equal for poses in which a drive gives the same sound on the skin
     """
 
     def __init__(
@@ -247,10 +254,12 @@ def posed_scene(
 ) -> PosedScene:
     """Return the scene in a pose.
 
-    world_positions [m], shape (m, 3), world_rotations, shape (m, 3, 3): poses in the rows of the layout.
-    previous: the last pose, or the reference. Parts that have not moved are reused; if none has, it is returned.
-    reference: as `reference_scene`, the pose of reduced models. A body and the obstacles of its skins are put there if
-        they are within STILL of it (by the strictest of its skins) and the arrays are in the reference pose.
+    world_positions [m], shape (m, 3), world_rotations, shape (m, 3, 3): poses in the rows of the layout
+    previous: the last pose, or the reference. Parts that have not moved are used again; if no part has moved, it is
+        returned
+    reference: result of `reference_scene`, the pose of reduced models. A body and the obstacles of its skins are put in
+        this pose if they are within STILL of it (for the strictest of its skins) and the arrays are in the reference
+        pose
     """
     origin, turn = world_positions[0].copy(), world_rotations[0].copy()
     positions, rotations = (world_positions - origin) @ turn, turn.T @ world_rotations
@@ -312,7 +321,8 @@ def settled_worlds(
 ) -> NDArray[np.bool_]:
     """Return the worlds in which `posed_scene` puts all bodies at the reference pose, shape (w,).
 
-    Arguments as for `posed_scene`, with a leading axis for worlds. All False if bones or obstacles need a check.
+    The arguments are those of `posed_scene`, with a leading axis for worlds. If bones or obstacles would have to be
+    checked, all values are False.
     """
     worlds = len(world_positions)
     for number, skin in enumerate(model.skins):
@@ -331,7 +341,10 @@ def settled_worlds(
 
 
 def _settled(body: PosedSurface, reference: PosedSurface, corners: Float, still_m: float) -> bool:
-    """Return whether a body is in the reference pose, by boxes around its skins, or with bones by its surface."""
+    """Return whether a body counts as in the reference pose.
+
+    Boxes around its skins are compared; with bones its surface.
+    """
     if body.model.hand is None:
         now, then = body.frame.points(corners), reference.frame.points(corners)
     else:
@@ -355,7 +368,7 @@ def _frames_in(positions: Float, rotations: Float, body: int, others: slice) -> 
 def _arrays(
     model: HapticModel, layout: PoseLayout, positions: Float, rotations: Float, previous: PosedScene
 ) -> PhasedArray:
-    """Return the arrays in this relative pose; the reference or last object if the relative pose is equal."""
+    """Return the arrays in this relative pose. If it has not changed, return the last or the reference object."""
     placements = []
     for number, sites in enumerate(layout.transducers):
         frame = Transform(positions[number], rotations[number])

@@ -1,7 +1,7 @@
-"""ARP on the surfaces of a posed scene, and its force on the bodies that carry skin, with their caches.
+"""ARP on the surfaces of a posed scene, and its force on the bodies that carry skin, with caches.
 
-A Radiation belongs to one state and is used by one thread at a time. It stores buffers for the points of each skin,
-and the last ARP of each role, under the serial numbers of pose and drive.
+A Radiation belongs to one state and is used by one thread at a time. It stores buffers for the points of each skin. It
+also stores the last ARP for each role, under the serial numbers of pose and drive.
 """
 
 import numpy as np
@@ -22,11 +22,15 @@ ALWAYS = np.ones(1, dtype=bool)
 class Radiation:
     """Computes ARP at the points of the skins of a model.
 
-    cached: results that a copy of the state reuses; chosen: for each skin, its points for the role "load"
+    cached: results that a copy of the state uses again
+    chosen: for each skin, its points for the role "load"
     """
 
     def __init__(self, model: HapticModel, beside: "Radiation | None" = None):
-        """beside: the Radiation of another world with the same thread; buffers and trees are shared, not results."""
+        """beside: Radiation of another world with the same thread.
+
+        Both share buffers and search trees, but not results
+        """
         self.model, self.cached = model, Cached()
         # Buffers and trees, moved in place; and all points ever chosen, stored so that ids of arrays stay unique
         self._shared: Cached = Cached() if beside is None else beside._shared
@@ -35,7 +39,7 @@ class Radiation:
         self._sound = [self._sound_on(skin) for skin in model.skins]
 
     def _sound_on(self, skin: SkinModel) -> FreeSound:
-        """Make the model of shadows and scattering for a skin; only the needed code is loaded."""
+        """Make the object for shadows and scattering of a skin. Only the code that it needs is loaded."""
         kind = skin.spec.config.body_sound
         if kind == "none":
             return FreeSound()
@@ -51,9 +55,9 @@ class Radiation:
             self.chosen[skin] = self._choices.of((skin, id(points)), (), ChosenPoints, self.model.skins[skin], points)
 
     def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex, serial: int = 0) -> SurfaceSound:
-        """Return ARP at quadrature points, force samples or surface nodes of a skin, for an emission of shape (N,).
+        """Return the ARP at quadrature points, force samples or surface nodes of a skin. drive: emission, shape (N,)
 
-        serial: serial number of the drive, the key of the stored result; 0 for a drive without one.
+        serial: serial number of the drive, which is the key of the stored result; 0 for a drive without one
         """
         if serial:
             key = *self._places(posed, skin, role), serial
@@ -81,15 +85,16 @@ class Radiation:
         return np.asarray(computed[np.add.accumulate(first, dtype=np.intp) - 1])
 
     def _places(self, posed: PosedScene, skin: int, role: Role) -> Key:
-        """Return a key, equal while the points of a skin for a role and all bodies in the path of the sound do not
-        move.
+        """Return a key for the points of a skin in a role.
+
+        The key is equal while these points and all bodies in the path of the sound do not move.
         """
         return posed.sound_keys[skin] if role != "load" else (*posed.sound_keys[skin], self.chosen[skin].serial)
 
     def many(
         self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature", peaks: Float32 | None = None
     ) -> Float32:
-        """Return ARP as `on` does, for several drives of shape (m, N); shape (m, n).
+        """Return the ARP as `on` does, for several drives of shape (m, N); the result has shape (m, n).
 
         peaks: array to fill with the peak amplitudes of the pressures [Pa], shape (m, n)
         """
@@ -109,7 +114,7 @@ class Radiation:
         return SurfaceSound(self.many(posed, skin, drives, role, peaks), peaks)
 
     def sums(self, posed: PosedScene, skin: int, units: Complex, levels: Complex, role: Role = "quadrature") -> Float32:
-        """Return ARP as `many` does, for the drives levels (m, k) @ units (k, N) with small k; shape (m, n)."""
+        """Return ARP as `many` does, for the drives levels (m, k) @ units (k, N) with a small k; shape (m, n)."""
         if self.model.skins[skin].spec.config.body_sound != "none":
             return self.many(posed, skin, levels @ units, role)
         *_, points, normals, _, field = self.points(posed, skin, role)
@@ -118,13 +123,13 @@ class Radiation:
     def at(
         self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, drive: Complex
     ) -> SurfaceSound:
-        """Return ARP at any points, with outward normals, of the body of a skin; array frame, shapes (n, 3)."""
+        """Return the ARP at any points of the body of a skin, with outward normals; array frame, shapes (n, 3)."""
         name = "field", skin, role, len(points)
         field = self._shared.of(name, posed.arrays.serial, self._field, posed, skin, len(points))
         return self._sound[skin].sound((posed, skin, role, points, normals, None, field), drive)
 
     def many_at(self, posed: PosedScene, skin: int, points: Float, normals: Float, drives: Complex) -> Float32:
-        """Return ARP as `at` does, for several drives of shape (m, N) and free sound; shape (m, n)."""
+        """Return the ARP as `at` does, for several drives of shape (m, N) in the free field; shape (m, n)."""
         name = "field", skin, "probe", len(points)
         field = self._shared.of(name, posed.arrays.serial, self._field, posed, skin, len(points))
         return field.evaluate_many(points, normals, drives)
@@ -140,7 +145,7 @@ class Radiation:
         return np.array(resultants(arp, of_unit, surface.origins, parts)) @ posed.array_frame.rotation.T
 
     def _of_unit_pressure(self, posed: PosedScene, body: int) -> tuple[Float, Parts]:
-        """Return the effect of a unit pressure on each sample of a body, see `pushes`, and the parts of the samples."""
+        """Return the effect of a unit pressure on each sample of a body (see `pushes`), and the part of each sample."""
         points, normals, areas, numbers = self.samples(posed, self.model.first_skins[body])
         surface = posed.bodies[body]
         return pushes(areas, normals, points), Parts(surface.sample_parts[numbers], len(surface.origins))
@@ -177,7 +182,7 @@ class Radiation:
         return posed, skin, role, points, normals, numbers, field
 
     def samples(self, posed: PosedScene, skin: int) -> VisibleSamples:
-        """Return the force samples of the body: those facing the arrays, or all if sound bends around the body."""
+        """Return the force samples of a body that face the arrays; all samples if sound is diffracted around it."""
         body, arrays = posed.skins[skin].body, posed.arrays
         return self.cached.of(("samples", skin), (arrays.serial, body.serial), self._sound[skin].samples, body, arrays)
 
@@ -187,6 +192,6 @@ class Radiation:
 
 
 def bends(skin: SkinModel) -> bool:
-    """Return whether sound bends around the obstacles that cast shadows on a skin."""
+    """Return whether sound is diffracted around the obstacles that cast shadows on a skin."""
     config = skin.spec.config
     return config.body_sound == "shadows" and config.shadow_edges == "knife_edge"

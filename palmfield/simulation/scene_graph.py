@@ -1,8 +1,8 @@
 """Step of one world in a captured graph on a device, for scenes that `MovingWorlds` cannot compute.
 
-These have shadows, several stimuli or foci, flight times, predicted paths, or boards that round. The state is copied
-to and from the device in each step. Drives come from the emission; for one moving focus kernels compute them. Skins
-that the device cannot step are stepped on the host, under the load from the device.
+These scenes have shadows, several stimuli or foci, flight times, predicted paths, or boards that round. The state is
+copied to and from the device in each step. The host computes the drives; for one moving focus, kernels compute them.
+Skins that the device cannot step are stepped on the host, under the load from the device.
 """
 
 import cmath
@@ -35,13 +35,17 @@ from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
 
 NO_LOADS = SurfaceLoads(np.zeros(0), ONE, ONE)
-"""Empty loads of a skin that the graph has stepped."""
+"""Empty loads, for a skin that the graph has stepped."""
 
 
 class Sounding(NamedTuple):
-    """Sums of drives. units: drives, shape (k, N); levels: levels of each sum, shape (m, k), None if each drive is one
-    sum;
-    serial: equal for equal sums; weights: weights of the sums in a mean, shape (m,)"""
+    """Sums of drives.
+
+    units: drives, shape (k, N)
+    levels: levels of each sum, shape (m, k); None if each drive is one sum
+    serial: equal for equal sums
+    weights: weights of the sums in a mean, shape (m,)
+    """
 
     units: Complex
     levels: Complex | None
@@ -57,8 +61,8 @@ class Sounding(NamedTuple):
 class SceneGraph(HostBackend):
     """Host backend of one world that computes sound and skins in a graph if possible.
 
-    course: the emission over the present step and its moments, if the graph computes it; for a path without its
-        drives. launches: number of launched graphs
+    course: the emission over the present step and its moments, if the graph computes it; for a path, without its drives
+    launches: number of launched graphs
     """
 
     in_graph = True
@@ -107,7 +111,7 @@ class SceneGraph(HostBackend):
             super().emit(t0)
 
     def _compute(self, posed: PosedScene, t0: float) -> bool:
-        """Compute the step that begins at t0 [s] in the graph; False leaves it to the host."""
+        """Compute the step that begins at t0 [s] in the graph. Returns False if the host must compute it."""
         emission = self._work.emission
         emitted = self._emitted[0] = self.state.emission()[0]
         self._made.of("transducers", posed.arrays.serial, self._transducers.move, posed.arrays)
@@ -126,7 +130,10 @@ class SceneGraph(HostBackend):
         return True
 
     def _along(self, posed: PosedScene, path: PathStep, emitted: Complex, t0: float) -> EmittedCourse | None:
-        """Compute a step of one moving focus; None if the transducers cannot make it (the host raises the error)."""
+        """Compute a step of one moving focus.
+
+        Returns None for an impossible focus, for which the host raises the error.
+        """
         if not math.isfinite(np.add.reduce(path.foci, axis=None)):
             raise PalmfieldError(f"focus at {path.foci.tolist()} m is not finite: correct its motion")
         drives = self._path_drives(posed, t0)
@@ -211,7 +218,7 @@ class SceneGraph(HostBackend):
         return graph, models
 
     def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
-        """Return the device model of the stepper of a skin, stored; None if the skin is stepped on the CPU."""
+        """Return the device model of the stepper of a skin, cached. None if the skin is stepped on the CPU."""
         points = len(self.model.skins[skin].layer.quadrature.points)
         inputs = self.model.substeps, points, self._transducers.device
         return self._made.of((skin, stepper), (), stepper.device_model, *inputs)
@@ -342,9 +349,9 @@ class SceneGraph(HostBackend):
         return self.load(skin, stepper.points)
 
     def load(self, skin: int, points: Int | None = None) -> Float32:
-        """Return ARP [Pa] of the course at the quadrature points of a skin, shape (m, q); points: numbers of some of
-        them.
+        """Return the ARP [Pa] of the course at quadrature points of a skin, shape (m, q).
 
+        points: numbers of the selected points
         The result is a view that the next step overwrites.
         """
         assert self._now is not None and self.course is not None
@@ -361,7 +368,7 @@ class SceneGraph(HostBackend):
 
 
 def _of_course(course: EmittedCourse) -> Sounding | None:
-    """Return the drives for the ARP on the skins over a step; None in silence."""
+    """Return the drives for the ARP on the skins over a step. None in silence."""
     if len(course.units) == 0:
         return None
     few = 1 < len(course.units) < len(course.levels)
@@ -369,7 +376,7 @@ def _of_course(course: EmittedCourse) -> Sounding | None:
 
 
 def _of_mean(mean: MeanDrives) -> tuple[Sounding | None, float]:
-    """Return the drives for the mean ARP on bodies over a step, and a factor on it; None in silence."""
+    """Return the drives for the mean ARP on bodies over a step, and a factor on it. None in silence."""
     if len(mean.weights) == 0:
         return None, 0.0
     if len(mean.weights) == 1:

@@ -1,6 +1,7 @@
-"""Points of a scene at which sound is computed, on a device, moved with bodies and bones.
+"""Points of a scene at which sound is computed, on a device. They move with bodies and bones.
 
-These are points for the load on skins, the sensors, and the force on bodies. The meshes of obstacles move with them.
+There are three kinds: points for the load on skins, sensors, and points for the force on bodies. The meshes of
+obstacles move in the same way.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,17 +27,20 @@ from warp_kernels import carried_points as carrying
 from warp_kernels import resultants as summing
 
 SQUARE = 8
-"""Number of cells per side, a power of two, into which directions are sorted."""
+"""Number of cells per side of the grid into which directions are sorted, a power of two."""
 TINY = 1e-30
 RUN = 16
-"""Number of force samples that one thread adds up."""
+"""Number of force samples that one thread sums."""
 
 
 class MotionRows(NamedTuple):
-    """The owners of the motions. Motions of bodies come first; sound pushes these.
+    """Objects that move points, one row for each motion. Motions of bodies come first, because sound pushes bodies.
 
-    bodies: by body, its bones or itself. obstacles: obstacles by skin. total: number of motions.
-    frames: row of each frame in a PoseLayout. rest: origin of each in the resting body [m], shape (total, 3).
+    bodies: rows of each body: its bones or itself
+    obstacles: rows of the obstacles, by skin
+    total: number of motions
+    frames: row of each frame in a PoseLayout
+    rest: origin of each in the resting body [m], shape (total, 3)
     """
 
     bodies: list[slice]
@@ -47,7 +51,7 @@ class MotionRows(NamedTuple):
 
     @property
     def parts(self) -> int:
-        """Return the number of motions of bodies that sound pushes."""
+        """Return the number of motions of bodies, which sound pushes."""
         last: int = self.bodies[-1].stop
         return last
 
@@ -68,7 +72,10 @@ def motions_of(model: HapticModel, layout: PoseLayout) -> MotionRows:
 
 
 class _Bound(NamedTuple):
-    """Points at rest [m], shape (n, 3), and the motions that carry them with their weights, both of shape (n, 4)."""
+    """Points at rest with the motions that carry them.
+
+    Points [m], shape (n, 3); motions, and their weights, both of shape (n, 4).
+    """
 
     points: Float
     motions: Int
@@ -105,12 +112,15 @@ def _carriers(bound: _Bound, device: str) -> Any:
 
 
 class ScenePoints:
-    """All points of a scene on a device: of the load of the skins, the sensors, and the force on bodies, in this order.
+    """All points of a scene on a device, in this order: load of the skins, sensors, force on bodies.
 
-    points, normals: vec3. areas: areas of the force samples [m2], float64.
-    quadrature: the range of each skin. samples: for each body its number and the range of its force samples.
-    orders: for bodies with sorted samples, the number of each sample in the order of the body.
-    loaded, probed, sampled: all points of one kind. count: number of all points.
+    points, normals: vec3
+    areas: areas of the force samples [m2], float64
+    quadrature: range of each skin
+    samples: for each body its number and the range of its force samples
+    orders: for bodies with sorted samples, the number of each sample in the order of the body
+    loaded, probed, sampled: all points of one kind
+    count: number of all points
     """
 
     def __init__(
@@ -124,8 +134,9 @@ class ScenePoints:
         steppers: Mapping[int, SkinStepper] | None = None,
         alike: bool = False,
     ):
-        """steppers: for skins whose points are only those at which the stepper takes pressure; alike: whether force
-        samples are sorted by direction, so that neighbouring threads are in shadow together"""
+        """steppers: steppers of skins for which points are needed only where the stepper takes pressure
+        alike: whether force samples are sorted by direction, so that neighbouring threads are in shadow together
+        """
         self._device, self._worlds = device, worlds
         bound: list[tuple[_Bound, Float]] = []
         self.quadrature: list[slice] = []
@@ -208,7 +219,8 @@ class ScenePoints:
 def _by_direction(surface: Surface, owners: Int) -> Int:
     """Sort faces by direction, and within one direction by bone; return the order, shape (n,).
 
-    In 40 % of the groups of 32 consecutive faces of the hand none is lit; unsorted it was 1 to 2 %.
+    In 40 % of the groups of 32 consecutive faces of the hand, no face is lit. Without sorting it is 1 to 2 % of the
+    groups.
     """
     normals = face_normals(surface.vertices, surface.faces)[0]
     # Directions map to an octahedron unfolded to a square; a space-filling curve orders its cells
@@ -220,7 +232,10 @@ def _by_direction(surface: Surface, owners: Int) -> Int:
 
 
 def _loaded(skin: SkinModel, stepper: SkinStepper | None) -> tuple[Float, Float, SkinBinding | None]:
-    """Return pressure points on a skin [m], their normals and motions: all its points, or those of a stepper."""
+    """Return the pressure points on a skin [m], their normals and their motions.
+
+    With a stepper, only the points that it needs are returned.
+    """
     quadrature = skin.layer.quadrature
     if stepper is None or stepper.points is None:
         return quadrature.points, quadrature.normals, skin.quadrature_binding
@@ -248,7 +263,7 @@ def force_calls(
     result: Any,
     device: str,
 ) -> list[Callable[[], object]]:
-    """Return launches that add up the loads of force samples by the part of a body that they push."""
+    """Return launches that sum the loads of force samples for each part of a body."""
     owners: Int = np.zeros(of.samples[-1][1].stop, np.int32)
     for number, own in of.samples:
         parts = reference.bodies[number].sample_parts
@@ -280,7 +295,7 @@ def mesh_number(model: HapticModel, skin: int) -> int:
 
 
 def meshes_of(model: HapticModel, reference: PosedScene, device: str) -> dict[int, Occlusion]:
-    """Return the obstacles by the number of the skin that they shade; skins without obstacles share one entry."""
+    """Return the obstacles by the number of the skin that they shade. Skins without obstacles share one entry."""
     meshes: dict[int, Occlusion] = {}
     for number, skin in enumerate(model.skins):
         key = mesh_number(model, number)

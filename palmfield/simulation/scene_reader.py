@@ -1,6 +1,6 @@
 """Read the spec of a scene from the compiled MuJoCo model. Only this file reads keys.
 
-It also returns the numbers of the bodies and sites to which the parts of the spec are bound. Poses are read later
+It also returns the numbers of the MuJoCo bodies and sites that belong to the parts of the spec. Later, poses are read
 by these numbers.
 """
 
@@ -46,13 +46,13 @@ MOST_STEPS = 1e9
 DEVICE = "palmfield_device"
 """Custom text of a scene: device on which fields are computed, auto, cpu or cuda:N."""
 CUSTOM = {DURATION: "numeric", DEVICE: "text"}
-"""Entries of <custom> in a scene that palmfield reads, with their kind."""
+"""Entries of <custom> in a scene that palmfield reads, each with its kind."""
 NEAR_MISS = 0.85
-"""A name this similar to an entry counts as its misspelling; a name with the same prefix always does."""
+"""Similarity of a name to an entry above which it counts as a misspelling. A name with the same prefix always does."""
 REST_M, REST_RAD = 1e-4, 1e-3
-"""Largest allowed distance between a body and its joint: a tenth of an element of a layer, plus rounding."""
+"""Largest allowed distance and rotation of a body relative to its joint: a tenth of an element, plus rounding."""
 SAME_AIR = ("temperature_C", "humidity_percent", "pressure_Pa", "precision")
-"""Keys that all arrays of a scene share."""
+"""Keys that must be equal for all arrays of a scene."""
 
 T = TypeVar("T")
 AnyConfig = TypeVar("AnyConfig", bound=Config)
@@ -86,9 +86,9 @@ class SceneBinding:
 
 
 def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
-    """Read the spec of the scene and the numbers to which it is bound.
+    """Read the spec of the scene and the MuJoCo numbers of its objects.
 
-    Raises SceneError with element, key, value and what is allowed for any inconsistent key.
+    Raises SceneError for any inconsistent key; the message has element, key, value and what is allowed.
     """
     _check_custom(model)
     arrays, stimuli, skins, drivers, regions = (
@@ -142,7 +142,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
 
 
 def with_files_found(config: AnyConfig, element: str) -> AnyConfig:
-    """Return the keys of a module, with absolute paths of its files.
+    """Return the keys of a module. File names are replaced by absolute paths.
 
     Raises SceneError as `palmfield.data.find_file`, with element and key.
     """
@@ -171,7 +171,7 @@ def first_array_frame(model: ModelView) -> Transform:
 def _arrays(
     instances: list[tuple[int, str, Any]], model: ModelView
 ) -> tuple[tuple[ArraySpec, ...], tuple[int, ...], tuple[tuple[int, ...], ...]]:
-    """Return specs, frame sites and transducer sites of the arrays; each array has its own frame site."""
+    """Return specs, frame sites and transducer sites of the arrays. Each array has its own frame site."""
     first_name, first = instances[0][1:]
     for _, name, config in instances[1:]:
         for key in SAME_AIR:
@@ -233,7 +233,7 @@ def check_calibrated_once(calibration: "Calibration", config: ArrayConfig, eleme
 def transducer_sites(config: ArrayConfig, name: str, model: ModelView) -> tuple[int, ...]:
     """Return the numbers of the sites of the transducers of an array; empty for layouts other than `sites`.
 
-    A site that a key names is not a transducer, for any prefix of its name.
+    A site that a key names is never a transducer, whatever the prefix of its name.
     """
     if config.sites is None:
         return ()
@@ -277,7 +277,7 @@ def _skins(
 def _check_still(
     arrays: tuple[ArraySpec, ...], skins: tuple[SkinBodies, ...], sites: tuple[int, ...], model: ModelView
 ) -> None:
-    """Raise SceneError for a rigid array face in front of a movable body: echoes are computed for one distance."""
+    """Raise SceneError for a rigid array face and a movable body, because echoes are computed for one distance only."""
     for array, site in zip(arrays, sites, strict=True):
         if array.config.array_face == "absorbing":
             continue
@@ -338,8 +338,8 @@ def _stimuli(
 def am_table_of(config: StimulusConfig, element: str) -> "AmTable | None":
     """Return the waveform in the file of key am_file; None without a file.
 
-    Raises SceneError, with element and key, for errors of `palmfield.stimulus.am_file.read_am_table`, for a periodic
-    waveform without a frequency, and for a waveform over time with a frequency.
+    Raises SceneError, with element and key, for errors of `palmfield.stimulus.am_file.read_am_table`. Raises it also
+    for a periodic waveform without a frequency, and for a waveform over time with a frequency.
     """
     if config.modulation != "am" or config.am_file is None:
         return None
@@ -441,7 +441,7 @@ def _on_body(model: ModelView, frame: Transform, site: str, element: str) -> Tri
 
 
 def _check_custom(model: ModelView) -> None:
-    """Raise SceneError for custom numbers and texts that look like palmfield's and would have no effect."""
+    """Raise SceneError for custom entries whose names look like those of palmfield but would have no effect."""
     for kind, name, length in model.custom() if model.complete else ():
         near = did_you_mean(name, CUSTOM, NEAR_MISS)
         if name not in CUSTOM and (near or name.lower().startswith("palmfield")):
@@ -510,7 +510,7 @@ def bones_of(skin: SkinConfig, element: str, model: ModelView) -> list[int]:
 
 
 def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
-    """Return the prefix of the names of the bodies, and the bones in the frame of key `body`."""
+    """Return the prefix of the body names, and the bones in the frame of key `body`."""
     if skin.shape == "rigged":
         from palmfield.hand.rigged import joint_of_body
         from palmfield.hand.skinning import bones_of_mesh, rigged_file
@@ -528,7 +528,7 @@ def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
 
 
 def check_rest(bone: Any, frame: Transform, pose: Transform, element: str, advice: str) -> None:
-    """Raise SceneError, with the remedy, if a body is not at its joint or not parallel to the axes of the hand."""
+    """Raise SceneError, with the remedy, if a body is not at its joint, or is not parallel to the axes of the hand."""
     place = relative(frame, pose)
     distance = float(np.linalg.norm(place.position - bone.origin))
     angle = float(np.arccos(np.clip(0.5 * (np.trace(place.rotation) - 1.0), -1.0, 1.0)))

@@ -1,4 +1,4 @@
-"""Readings of a sensor on the skin. A new channel is one entry of CHANNELS."""
+"""Readings of a sensor on the skin. To add a channel, add an entry to CHANNELS."""
 
 from collections.abc import Callable
 from operator import attrgetter
@@ -16,14 +16,15 @@ if TYPE_CHECKING:
     from palmfield.hand.posed_surface import SkinBinding
 
 REACH_M, OFF_SKIN_M = 0.01, 0.005
-"""Largest distances of the site of a sensor from the skin layer, along the skin and normal to it."""
+"""Largest distances of a sensor site from the skin layer, along the skin and normal to it."""
 
 
 class SkinReading(NamedTuple):
     """Readings at the place of a sensor at the beginning of a MuJoCo step.
 
     arp_force_x_N, _y_N, _z_N: force of the sound on the whole body, mean over the step that begins, world axes
-    normal_displacement_m, normal_velocity_m_s: of the skin along its outward normal; arp_Pa: positive inwards
+    normal_displacement_m, normal_velocity_m_s: displacement and velocity of the skin along its outward normal
+    arp_Pa: ARP, positive inwards
     """
 
     arp_force_x_N: float
@@ -40,11 +41,11 @@ UNITS = tuple(
     next(unit for ending, unit in (("_m_s", "m s-1"), ("_N", "N"), ("_Pa", "Pa"), ("_m", "m")) if name.endswith(ending))
     for name in CHANNELS
 )
-"""Their units."""
+"""Units of the channels."""
 
 
 class SensorPlace:
-    """Place of a sensor: the point of the layer that is nearest to its site, and the bones that carry it."""
+    """Place of a sensor: the point of the layer nearest to its site, and the bones that carry this point."""
 
     def __init__(self, probe: SurfaceProbe, binding: "SkinBinding | None"):
         self.probe, self.binding = probe, binding
@@ -59,7 +60,7 @@ class SensorPlace:
 
 
 def check_site(skin: SkinModel, site: Float, element: str) -> None:
-    """Check that a sensor can read at a site of the resting body (body frame [m], shape (3,)); needs no matrices.
+    """Check that a sensor can read at a site of the resting body (body frame [m], shape (3,)). This needs no matrices.
 
     Raises SceneError, naming the element, for a site above or below the skin, and for one that is far from the layer.
     """
@@ -80,24 +81,30 @@ def check_site(skin: SkinModel, site: Float, element: str) -> None:
 
 
 def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
-    """Return the sensor place for a site of the resting body (body frame [m], (3,)). SceneError as `check_site`."""
+    """Return the sensor place for a site of the resting body (body frame [m], (3,)).
+
+    Raises SceneError as `check_site`.
+    """
     check_site(skin, site, element)
     probe = skin.layer.probe(site)
     return SensorPlace(probe, skin.carrier.bind(probe.closest))
 
 
 def skin_reading(force: Float, motion: Float, arp: Float) -> SkinReading:
-    """Make the reading at the place of a sensor, for one world or for several; only this function fills the fields.
+    """Make the reading at the place of a sensor, for one world or several. Only this function fills the fields.
 
-    force: on the body [N], shape (3,); motion: displacement [m] and velocity [m/s], shape (2,); arp: [Pa]
+    force: force on the body [N], shape (3,)
+    motion: displacement [m] and velocity [m/s], shape (2,)
+    arp: ARP [Pa]
     """
     return SkinReading._make((*force, *motion, arp))
 
 
 def channels(forces: Float, motions: Float, arps: Float) -> Float:
-    """Return sensor data in some worlds, shape (g, channels); arguments as in `skin_reading`, with a leading axis.
+    """Return sensor data in some worlds, shape (g, channels). Arguments as in `skin_reading`, with a leading axis.
 
-    The fields of a reading are computed for all worlds together, any other channel for each world separately.
+    The fields of a reading are computed for all worlds together. Any other channel is computed for each world
+    separately.
     """
     together = skin_reading(forces.T, motions.T, arps)
     rows = []

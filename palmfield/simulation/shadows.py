@@ -1,7 +1,7 @@
 """Effects of bodies on the sound on a skin: shadows by rays, diffraction at edges, or boundary elements.
 
-This file is loaded only for scenes with such a skin. Trees and weights are moved in place; worlds that one thread
-steps share them.
+This file is loaded only for scenes with such a skin. Search trees and weights are moved in place. Worlds that one
+thread steps share them.
 """
 
 import numpy as np
@@ -19,11 +19,11 @@ from palmfield.simulation.skin_sound import ChosenPoints, FreeSound, SkinPoints,
 from palmfield.types import Complex, Float, Int
 
 SKIN_SPACING_m, BODY_SPACING_m = 0.008, 0.024
-"""Distances between shadow nodes: on the layer of a skin, and on the body for the force on it."""
+"""Spacing of the shadow nodes: on the layer of a skin, and on the body for the force on it."""
 
 
 class _Behind(FreeSound):
-    """Sound on a skin behind bodies. shared: trees and weights that are moved in place"""
+    """Sound on a skin behind bodies. shared: search trees and weights that are moved in place"""
 
     def __init__(self, model: HapticModel, shared: Cached):
         self.model, self._shared = model, shared
@@ -39,7 +39,7 @@ class _Behind(FreeSound):
 
 
 class ShadedSound(_Behind):
-    """Sound on a skin with sharp shadows: a ray from each point, back along the energy flux, tests for bodies."""
+    """Sound on a skin with sharp shadows. A ray from each point, opposite to the energy flux, tests for bodies."""
 
     one_by_one = True
 
@@ -94,7 +94,10 @@ class BentSound(_Behind):
     def _edges(
         self, at: SkinPoints, obstacles: Occlusion, emitters: Emitters
     ) -> tuple[KnifeEdges, ChosenPoints | None]:
-        """Return the evaluator of shares at the points of a role, and the nodes if these are other points."""
+        """Return the evaluator of transmitted fractions at the points of a role.
+
+        Also return the shadow nodes, if these are other points.
+        """
         _, skin, role, points, normals, _, _ = at
         rest, bound = self._shared.of("reference", (), reference_scene, self.model).skins[skin], None
         if role in ("quadrature", "load"):
@@ -111,7 +114,7 @@ class BentSound(_Behind):
 
 
 class ScatteredSound(FreeSound):
-    """Total sound on the rigid body of a skin. cached: stores the last solution."""
+    """Total sound on the rigid body of a skin. cached: stores the last solution"""
 
     one_by_one = True
 
@@ -120,7 +123,7 @@ class ScatteredSound(FreeSound):
 
     @staticmethod
     def samples(body: PosedSurface, arrays: PhasedArray) -> VisibleSamples:
-        """Return all samples, because sound bends around the body."""
+        """Return all samples, because sound is diffracted around the body."""
         return *body.samples, np.arange(len(body.samples[2]), dtype=np.int32)
 
     def sound(self, at: SkinPoints, drive: Complex) -> SurfaceSound:
@@ -144,17 +147,17 @@ class ScatteredSound(FreeSound):
 
 
 def load_nodes(skin: PosedSkin) -> ShadowNodes:
-    """Return the nodes among the quadrature points of a skin, in the reference scene."""
+    """Return which quadrature points of a skin are shadow nodes, in the reference scene."""
     return shadow_nodes(*skin.quadrature, SKIN_SPACING_m)
 
 
 def sample_nodes(body: PosedSurface) -> ShadowNodes:
-    """Return the nodes among the samples for the force on a body, in the reference scene."""
+    """Return which force samples of a body are shadow nodes, in the reference scene."""
     return shadow_nodes(*body.samples[:2], BODY_SPACING_m)
 
 
 def occlusion(posed: PosedScene, skin: int, device: str) -> Occlusion:
-    """Return the obstacles of a skin in a pose."""
+    """Return the object that tests for obstacles of a skin in a pose."""
     meshes = [(len(body.vertices), body.faces) for body in posed.bodies]
     obstacles = posed.skins[skin].obstacles
     if obstacles is not None:

@@ -23,13 +23,16 @@ VisibleSamples = tuple[Float, Float, Float, Int]
 """Points [m] and outward normals, array frame, shapes (n, 3), areas [m2], shape (n,), 0 for padding points, and the
 numbers of these samples among all samples of the body, shape (n,)."""
 Role = Literal["quadrature", "load", "samples", "nodes", "vertices", "probe"]
-"""Roles of points: each role of a skin has its own buffers."""
+"""Roles of points. Each role of a skin has its own buffers."""
 Key = tuple[int | bytes, ...]
 """Key of the inputs of a result, usually serial numbers."""
 SkinPoints = tuple[PosedScene, int, Role, Float, Float, Int | None, SurfaceArp]
-"""Points at which the sound is computed: the pose, the number of the skin (for body points: a skin on the body), the
-role, places [m] and outward normals, array frame, shapes (n, 3), their numbers if they are part of the points of the
-role, shape (n,), else None, and the free-field evaluator."""
+"""Points at which the sound is computed.
+
+The fields are: the pose; the number of the skin (for body points, of a skin on the body); the role; places [m] and
+outward normals, array frame, shapes (n, 3); their numbers if they are some of the points of the role, shape (n,), else
+None; and the free-field evaluator.
+"""
 
 
 def visible(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_]:
@@ -56,16 +59,18 @@ def visible_samples(body: PosedSurface, arrays: PhasedArray) -> VisibleSamples:
 class FreeSound:
     """Free-field sound on a skin. Subclasses add shadows and scattering by bodies.
 
-    bends: whether sound passes bodies partly; one_by_one: whether each drive must be computed separately
-    samples: returns the points for the force on a body, those that the arrays can see
+    bends: whether a part of the sound passes around bodies
+    one_by_one: whether each drive must be computed separately
+    samples: returns the points for the force on a body: those that the arrays can see
     """
 
     bends = one_by_one = False
     samples = staticmethod(visible_samples)
 
     def shades(self, at: SkinPoints) -> Shades | None:
-        """Return the share of the sound of each transducer that passes bodies; None without obstacles. Only if it
-        bends.
+        """Return the fraction of the sound of each transducer that passes bodies. None without obstacles.
+
+        Use it only if `bends` is set.
         """
         return None
 
@@ -77,7 +82,10 @@ class FreeSound:
 
 
 class Solution(NamedTuple):
-    """Sound of a drive, shape (N,), on a rigid body in a pose. at: returns it at points in the frame of the body [m]"""
+    """Sound of a drive, shape (N,), on a rigid body in a pose.
+
+    at: function that returns it at points, body frame [m]
+    """
 
     posed: PosedScene
     drive: Complex
@@ -92,7 +100,9 @@ class Solution(NamedTuple):
 class ChosenPoints:
     """Some of the quadrature points of a skin.
 
-    numbers: shape (p,); serial: unique number; rest: the arguments of `PosedSurface.moved`
+    numbers: numbers of the points, shape (p,)
+    serial: unique number
+    rest: the arguments of `PosedSurface.moved`
     """
 
     def __init__(self, skin: SkinModel, numbers: Int):

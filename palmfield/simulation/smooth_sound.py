@@ -1,7 +1,7 @@
 """Emission of many worlds, each with one drive of variable level, for example a focus at a fixed point.
 
-Such a world emits a number times its unit drive. Pole, levels and means over a step are then a few operations on
-arrays with one entry per world. The emission of other worlds comes from `palmfield.simulation.emission`.
+Such a world emits a number times its unit drive. Response, levels and means over a step are then a few operations on
+arrays with one entry per world. For other worlds see `palmfield.simulation.emission`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,17 +23,21 @@ from palmfield.types import Complex, Float
 AHEAD = 16
 """Number of steps for which the commanded drive is computed together."""
 SHARED_FROM = 32
-"""From this number of worlds with different levels on, they share one field. Its float32 rounding changes ARP by about
-1e-6; the error of the field is 2e-5. Fewer worlds have exactly the results of a single world."""
+"""Number of worlds with different levels from which they share one field.
+
+The float32 rounding of a shared field changes the ARP by about 1e-6; the error of the field is 2e-5. With fewer worlds,
+the results are exactly those of a single world.
+"""
 ALIKE, LEAST = 1e-14, 1e-300
-"""Rounding error of a drive relative to its largest amplitude, and the least power that counts as sound."""
+"""Rounding error of a drive relative to its largest amplitude, and the smallest power that counts as sound."""
 
 
 class SmoothSound:
-    """Levels of the worlds' unit drives. Belongs to one state.
+    """Levels of the unit drives of the worlds. It belongs to one state.
 
-    joined: numbers of the worlds whose sound one level determines in the present step, ascending, shape (g,)
-    serials: serials of the unit drives of all worlds; now: their present emitted levels, complex, shapes (worlds,)
+    joined: numbers of the worlds whose sound has one level in the present step, ascending, shape (g,)
+    serials: serial numbers of the unit drives of all worlds, shape (worlds,)
+    now: their present emitted levels, complex, shape (worlds,)
     """
 
     def __init__(
@@ -44,8 +48,9 @@ class SmoothSound:
         able: Sequence[bool],
         alone: bool,
     ):
-        """able: which worlds may ever join; alone: whether no other code writes the state, so that levels may be kept
-        from step to step"""
+        """able: worlds that may ever join
+        alone: whether no other code writes the state, so that levels may be kept from step to step
+        """
         self.models, self.emissions, self.state, self._alone = models, emissions, state, alone
         self._may_join: Bool = np.array([can and _may_join(model) for can, model in zip(able, models, strict=True)])
         self._ringing: Bool = self._may_join & [model.response_on for model in models]
@@ -79,18 +84,18 @@ class SmoothSound:
         self._level_known[:] = self._late[:] = False
 
     def leave_out(self, world: int) -> None:
-        """Stop computing the sound of a world: other code does it from now on."""
+        """Stop computing the sound of a world. Other code does it from now on."""
         self._may_join[world] = self._ringing[world] = False
 
     def adopt(self, other: "SmoothSound") -> None:
-        """Continue from another one, in a copy of its state in the same PosedScenes."""
+        """Continue from another SmoothSound, for a copy of its state in the same PosedScenes."""
         self._poses, self.serials, self._of = other._poses.copy(), other.serials.copy(), dict(other._of)
         self._units, self._powers, self._peaks = other._units.copy(), other._powers.copy(), other._peaks.copy()
         self._first, self._scales = dict(other._first), other._scales.copy()
         self.now, self._level_known = other.now.copy(), other._level_known.copy()
 
     def begin(self, posed: Mapping[int, PosedScene], t0: float) -> list[int]:
-        """Find the worlds whose sound one level determines in the step from t0 [s]; return numbers of the others."""
+        """Find the worlds whose sound has one level in the step from t0 [s] on. Return the numbers of the others."""
         here = np.zeros(len(self.models), dtype=bool)
         here[list(posed)] = True
         joins = self._may_join & here
@@ -110,7 +115,7 @@ class SmoothSound:
         return (here & ~joins).nonzero()[0].tolist()
 
     def _meet(self, world: int, posed: PosedScene, t0: float) -> bool:
-        """Set the unit drive of a world in a new pose; return whether there is one."""
+        """Set the unit drive of a world in a new pose. Return whether it has one."""
         if self._late[world]:
             self.fetch()
         part, drive, points = self.emissions[world].placed(posed, t0)[0]
@@ -127,10 +132,9 @@ class SmoothSound:
         return True
 
     def _shared(self, unit: UnitDrive, key: tuple[float, ...]) -> tuple[UnitDrive, float]:
-        """Return a stored drive for this pose and point with the factor to the drive of this world, or the drive
-        itself.
+        """Return a stored drive for this pose and point, with the factor to the drive of this world.
 
-        Worlds whose drives differ only in level thus share one field.
+        If there is none, the drive itself is returned. So worlds whose drives differ only in level share one field.
         """
         if len(self._first) > len(self.models):
             self._first.clear()
@@ -161,7 +165,7 @@ class SmoothSound:
         return self._of[world].amplitudes
 
     def present_factors(self) -> Float:
-        """Return ARP at the start of the step relative to that of the unit drives, in the joined worlds, shape (g,)."""
+        """Return the ARP at the start of the step relative to that of the unit drives, in joined worlds, shape (g,)."""
         level = np.abs(self.now)
         emitted = level**2 * (level * self._peaks >= SILENT)
         if not np.logical_and.reduce(self._ringing):
@@ -179,8 +183,10 @@ class SmoothSound:
         return np.asarray(np.add.reduce(factors * self._shares, axis=1)[self.joined])
 
     def over(self, moments: Moments) -> tuple[Complex, Complex]:
-        """Return levels of the unit drives of the joined worlds at the moments of the step, (g, m), and at its end,
-        (g,)."""
+        """Return the levels of the unit drives of the joined worlds.
+
+        They are given at the moments of the step, (g, m), and at its end, (g,).
+        """
         levels, end = self._over(moments, self._commanded[:, len(self._means.times) : -1])
         return levels[self.joined], end[self.joined]
 
@@ -214,13 +220,13 @@ class SmoothSound:
         return levels, np.asarray(end * ~silent)
 
     def course(self, world: int, levels: Complex, end: complex) -> EmittedCourse:
-        """Return the result of `over` for a joined world as a course. levels: shape (m,); end: level at the end."""
+        """Return the result of `over` for one joined world as a course. levels: shape (m,); end: level at the end"""
         unit = self._of[world]
         last = end * unit.amplitudes
         return of_unit(unit, levels, last) if np.logical_or.reduce(levels) else silence(len(levels), last)
 
     def advance(self, end: Complex) -> None:
-        """Write the emission of the joined worlds at the end of the step, levels of shape (g,), into the state."""
+        """Write the emission of the joined worlds at the end of the step into the state. end: levels, shape (g,)"""
         rings = self._ringing[self.joined]
         worlds, levels = self.joined[rings], end[rings]
         self.now[worlds] = self._stored[worlds] = levels
@@ -230,7 +236,7 @@ class SmoothSound:
             self.state.set_emission(worlds, levels[:, None] * self._units[worlds])
 
     def fetch(self) -> None:
-        """Write the pending emissions into the state. They may wait if no other code uses the state."""
+        """Write the pending emissions into the state. They may be pending while no other code uses the state."""
         worlds = self._late.nonzero()[0]
         self._late[:] = False
         self.state.set_emission(worlds, self._stored[worlds, None] * self._units[worlds])

@@ -23,18 +23,18 @@ Triple = tuple[float, float, float]
 
 
 class Named:
-    """A part of a scene by its name, in messages. config: its keys."""
+    """A part of a scene with a name, for messages. config: its keys"""
 
     name: str
     config: Config
 
     @property
     def element(self) -> str:
-        """Name of the element of the scene."""
+        """Name of the element of the scene, for messages."""
         return self.config.element(self.name)
 
     def naming(self, setting: str = "") -> naming_keys:
-        """Add the element and its keys to errors raised in the block; setting: key at fault, if the error has none."""
+        """Add the element and its keys to errors raised in the block. setting: invalid key, if the error names none"""
         return naming_keys(self.element, self.config, setting)
 
 
@@ -42,7 +42,7 @@ class Named:
 class ArraySpec(Named):
     """One phased array.
 
-    placement: seen from the first array
+    placement: pose relative to the first array
     calibration, table: contents of the files of keys `calibration` and `transducers`
     """
 
@@ -57,12 +57,13 @@ class ArraySpec(Named):
 class StimulusSpec(Named):
     """One stimulus.
 
-    arrays: numbers of the arrays that it drives, ascending. frame: frame of its focus and path, in that of the first
-    array.
-    on_skin: number of the skin on which its path runs, None for a path in space.
-    path_sites: sites along the path, in the frame of the body of that skin [m].
-    frame_moves: whether that frame, or the skin under the path, can move relative to the arrays.
-    am_table: the waveform in the file of key am_file, None without. focus_table: foci over time, of key path_file.
+    arrays: numbers of the arrays that it drives, ascending
+    frame: frame of its focus and path, relative to that of the first array
+    on_skin: number of the skin on which its path runs; None for a path in space
+    path_sites: sites along the path, in the frame of the body of that skin [m]
+    frame_moves: whether that frame, or the skin under the path, can move relative to the arrays
+    am_table: waveform in the file of key am_file; None without a file
+    focus_table: foci over time in the file of key path_file
     """
 
     name: str
@@ -78,8 +79,9 @@ class StimulusSpec(Named):
 
 @dataclass(frozen=True)
 class ObstacleSpec:
-    """An obstacle of a skin besides its own body. placement: placement of the body of the obstacle, seen from that of
-    the skin.
+    """An obstacle of a skin, other than its own body.
+
+    placement: pose of the body of the obstacle, relative to the body of the skin
     """
 
     shape: "Obstacle"
@@ -90,9 +92,9 @@ class ObstacleSpec:
 class SkinSpec(Named):
     """One skin layer and the body that carries it.
 
-    body: placement of the body, seen from the first array. patch_centre: middle of the layer in the frame of the body
-    [m].
-    moves: whether a script moves a body in the scene, so that this body may move too.
+    body: pose of the body relative to the first array
+    patch_centre: middle of the layer in the frame of the body [m]
+    moves: whether a script moves a body in the scene, so that this body may move too
     """
 
     name: str
@@ -125,8 +127,9 @@ class RegionSpec(Named):
 class SceneSpec:
     """The whole scene. Equal specs share a model.
 
-    device: where fields are computed, "cpu" or "cuda:N"; timestep_s: timestep of MuJoCo [s]; duration_s: duration of a
-    run [s]
+    device: device that computes fields, "cpu" or "cuda:N"
+    timestep_s: time step of MuJoCo [s]
+    duration_s: duration of a run [s]
     """
 
     arrays: tuple[ArraySpec, ...]

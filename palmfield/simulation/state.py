@@ -1,9 +1,9 @@
-"""Variable data of a scene in a run, as plain arrays with a leading axis for worlds.
+"""Data of a scene that change in a run, as plain arrays with a leading axis for worlds.
 
-In a plain mj_step the arrays are views of MuJoCo's plugin state, so that mj_copyData, mj_getState and mj_resetData
-include them. The array of a skin has room for its whole layer; a reduced model uses only its first part, because a
-run may change to the whole layer. For a solver with its own mesh, the array has room for that mesh. A header
-identifies the writer of the numbers; all zeros means rest without a writer.
+In a plain mj_step the arrays are views of MuJoCo's plugin state, so mj_copyData, mj_getState and mj_resetData include
+them. The array of a skin has room for its full layer, because a run may change to the full layer. A reduced model uses
+only its first part. For a solver with its own mesh, the array has room for that mesh. A header identifies the writer of
+the numbers. If all numbers are zero, the skin is at rest and has no writer.
 """
 
 import hashlib
@@ -20,13 +20,15 @@ from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
 HEADER = 4
-"""Length of the header: the writer (0 none, BEGUN, WHOLE), a fingerprint, and two more numbers; the first array
-stores LEVEL there."""
+"""Length of the header: the writer (0 none, BEGUN, WHOLE), a fingerprint, and two more numbers.
+
+The first array stores LEVEL in the last two.
+"""
 LEVEL = slice(2, 4)
-"""Place of a complex number: emitted level of the unit drive when a step of `SmoothSound` wrote the state."""
+"""Position of a complex number: the emitted level of the unit drive, if a step of `SmoothSound` wrote the state."""
 BEGUN, WHOLE = 1.0, 2.0
 VERSION = 1
-"""Version of the layout of these numbers."""
+"""Version of the layout of these arrays."""
 
 
 class HapticState:
@@ -34,6 +36,8 @@ class HapticState:
     each skin header and numbers, shape (w, HEADER + room); regions: for each region of afferents that sensors read,
     shape (w, size). float64; w: worlds, 1 in a plain mj_step
 
+    arrays: for each array, header and emission of its transducers, shape (w, HEADER + 2 n)
+    skins: for each skin, header and numbers, shape (w, HEADER + room)
     emitted: complex amplitude that each transducer emits, by array, shape (w, n), views
     """
 
@@ -72,12 +76,12 @@ def array_room(transducers: int) -> int:
 
 
 def skin_room(model: HapticModel, skin: int) -> int:
-    """Return the length of the state of a skin; needs no matrices."""
+    """Return the length of the state of a skin. This needs no matrices."""
     return HEADER + model.skins[skin].solver.state_size
 
 
 def new_state(model: HapticModel, worlds: int = 1) -> HapticState:
-    """Return a new state with everything at rest."""
+    """Return a new state in which everything is at rest."""
     arrays = tuple(np.zeros((worlds, array_room(len(part)))) for part in model.arrays.parts)
     skins = tuple(np.zeros((worlds, skin_room(model, i))) for i in range(len(model.skins)))
     return HapticState(arrays, skins, tuple(np.zeros((worlds, region.size)) for region in model.rates))
@@ -89,14 +93,14 @@ def at_rest(state: HapticState, skin: int) -> bool:
 
 
 def untouched(state: HapticState) -> bool:
-    """Return whether the state is as after a reset, before the first step."""
+    """Return whether the state is that after a reset, before the first step."""
     return not any(np.logical_or.reduce(part[0]) for part in state.arrays)
 
 
 def check_arrays(model: HapticModel, state: HapticState) -> bool:
-    """Mark the states of the arrays as those of this model; return whether they had no writer (a new run).
+    """Mark the states of the arrays as those of this model. Return whether they had no writer, as in a new run.
 
-    Raises SceneError for a state written by another scene or version.
+    Raises SceneError for a state that another scene or version has written.
     """
     new = False
     for number, (array, part) in enumerate(zip(model.spec.arrays, state.arrays, strict=True)):
@@ -129,9 +133,9 @@ def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinS
 
 
 def claim(model: HapticModel, state: HapticState, skin: int, stepper: SkinStepper, of_any_owner: bool = False) -> None:
-    """Write this stepper into the header of a skin as the owner of its numbers. SceneError as `stepper_of`.
+    """Write this stepper into the header of a skin as the owner of its numbers. Raises SceneError as `stepper_of`.
 
-    of_any_owner: whether the numbers of any owner, which must be valid for the stepper, are taken over
+    of_any_owner: whether to accept numbers of any owner; they must be valid for the stepper
     """
     mark = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
     kind, header = BEGUN if model.begin[skin].value is stepper else WHOLE, state.skins[skin][0]

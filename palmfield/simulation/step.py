@@ -1,7 +1,7 @@
-"""One MuJoCo step of the sound and the skins in one world or several: pose -> drive -> field -> ARP -> load -> skin.
+"""One MuJoCo step of sound and skins, in one or more worlds: pose -> drive -> field -> ARP -> load -> skin.
 
-`Steps.begin` reads the poses at the start of a step and computes its forces, `sense` computes sensor readings, and
-`advance` steps transducers and skins. Backends do the computing: see `backends_of`.
+`Steps.begin` reads the poses at the start of a step and computes its forces. `sense` computes sensor readings.
+`advance` steps transducers and skins. Backends do the computing, see `backends_of`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,16 +22,17 @@ from palmfield.simulation.workspace import Workspace
 from palmfield.types import Complex, Float
 
 PARTS, LEAST_WORLDS = 2, 128
-"""Largest number of graphs that share the worlds, and number of worlds needed for each additional graph.
+"""Largest number of graphs that share the worlds, and number of worlds for each additional graph.
 
-1,024 worlds on an H100 and 16 cores: hover_explore 25, 19, 17.5 and 17 us a world with 1, 2, 3 and 4 graphs,
-follow_fingertip 21, 15, 18 and 18."""
+Measured with 1,024 worlds on an H100 and 16 cores, with 1, 2, 3 and 4 graphs: hover_explore takes 25, 19, 17.5 and 17
+us per world, follow_fingertip 21, 15, 18 and 18.
+"""
 
 
 def backends_of(
     models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool
 ) -> tuple[Sequence[Backend], HostBackend]:
-    """Return the backends in calling order, and the host, which steps all remaining worlds."""
+    """Return the backends in the order of calling, and the host backend, which steps all remaining worlds."""
     if not serves(models[0]):
         return (), HostBackend(models, works, state, alone)
     # The kernels of graphs are not loaded for scenes that have none
@@ -55,13 +56,14 @@ def backends_of(
 
 
 class Steps:
-    """The steps of the worlds of a state, in sequence. Belongs to one state and is used by one thread at a time.
+    """The steps of the worlds of a state, one after the other. It belongs to one state and to one thread at a time.
 
-    models, works: one for each world. state: state of all worlds. host: steps the worlds that no other backend steps.
-    forces: forces by body, mean force on its parts over the current step [N], and torques about their origins [N m],
-    world
-        axes, shape (worlds, 2, b, 3).
-    inputs: parts of the state from which `begin` computed the present step. If they change, the step is invalid.
+    models, works: one for each world
+    state: state of all worlds
+    host: backend that steps the worlds that no other backend steps
+    forces: for each body the mean force on its parts over the present step [N], and the torque about their origins [N
+        m], world axes, shape (worlds, 2, b, 3)
+    inputs: parts of the state from which `begin` computed the present step; if they change, the step is invalid
     """
 
     def __init__(
@@ -98,21 +100,22 @@ class Steps:
 
     @property
     def together(self) -> int:
-        """Return the largest number of steps in one pose for `over`.
+        """Return the largest number of steps in one pose that `over` can compute together.
 
-        It is 1 if foci are held between control ticks, or if skins use modes: their load is measured in every step.
+        It is 1 if foci stay fixed between control ticks. It is also 1 if skins use modes, because their load is
+        measured in every step.
         """
         model = self.models[0]
         free = not self.works[0].emission.holds and not any(one.value.of_class for one in model.begin)
         return TOGETHER if free else 1
 
     def forget(self) -> None:
-        """Begin again, after a reset."""
+        """Start again, after a reset."""
         for backend in self.backends:
             backend.forget()
 
     def adopt(self, other: "Steps") -> None:
-        """Continue from other Steps, whose state has been copied, in the same PosedScenes."""
+        """Continue from another Steps object, whose state has been copied, in the same PosedScenes."""
         for work, origin in zip(self.works, other.works, strict=True):
             work.adopt(origin)
         self.host.adopt(other.host)
@@ -124,19 +127,22 @@ class Steps:
             backend.fetch()
 
     def play(self, emissions: Mapping[int, Emission]) -> None:
-        """Use other emissions in some worlds, by world number, instead of those of the stimuli."""
+        """Use other emissions than those of the stimuli in some worlds. emissions: by number of the world"""
         for world, emission in emissions.items():
             self.works[world].emission = emission
             for backend in self.backends:
                 backend.leave_out(world)
 
     def watch(self, skin: int, place: SensorPlace) -> None:
-        """Compute the readings of a sensor here at the beginning of each step. Call it before the first step."""
+        """Compute the readings of a sensor at this place at the beginning of each step.
+
+        Call it before the first step.
+        """
         for backend in self.backends:
             backend.watch(skin, place)
 
     def begin(self, frames: Frames, t0: float) -> None:
-        """Take the poses of all worlds at the beginning of a step, t0 [s], and compute the forces over it."""
+        """Store the poses of all worlds at the beginning t0 [s] of a step, and compute the forces over the step."""
         graphs = range(len(self.backends) - 1)
         for number in graphs:
             self.start(number, frames, t0)
@@ -150,9 +156,9 @@ class Steps:
         self.inputs = inputs
 
     def start(self, number: int, frames: Frames, t0: float) -> None:
-        """Begin a step in one backend, by its number (not the host): the first part of `begin`, in ascending order.
+        """Begin a step in one backend, which is not the host. number: its number; call them in ascending order
 
-        A device may still compute after this call returns.
+        This is the first part of `begin`. A device may still compute after this call returns.
         """
         if number == 0:
             self._free[:] = True
@@ -163,7 +169,7 @@ class Steps:
             self._free[backend.joined] = False
 
     def ready(self, number: int) -> bool:
-        """Wait for the forces of a backend that has started; return whether it steps all its worlds."""
+        """Wait for the forces of a backend that has started. Return whether it steps all its worlds."""
         backend = self.backends[number]
         if len(backend.joined):
             self._free[backend.joined] = True
@@ -173,7 +179,10 @@ class Steps:
         return len(backend.joined) == len(self._free[backend.own])
 
     def rest(self, frames: Frames, t0: float) -> None:
-        """Compute on the host the forces in the worlds that no other backend steps: the last part of `begin`."""
+        """Compute on the host the forces in the worlds that no other backend steps.
+
+        This is the last part of `begin`.
+        """
         host = self.host
         if not np.logical_or.reduce(self._free):
             host.joined, host.stepped = host.joined[:0], []
@@ -186,8 +195,10 @@ class Steps:
                 host.push(self.forces)
 
     def sense(self, skin: int, place: SensorPlace) -> tuple[Float, Float]:
-        """Return ARP [Pa], shape (worlds,), displacement [m] and velocity [m/s], (worlds, 2), at a sensor, at the
-        beginning of the step."""
+        """Return the readings of a sensor at the beginning of the step.
+
+        These are the ARP [Pa], shape (worlds,), and displacement [m] and velocity [m/s], shape (worlds, 2).
+        """
         count = len(self.models)
         arp, motion = np.zeros(count), np.zeros((count, 2))
         for backend in self.backends:
@@ -203,7 +214,10 @@ class Steps:
                     backend.step_skins(t0, t1, skins)
 
     def over(self, posed: PosedScene, t0: float, steps: int, skins: bool = True) -> None:
-        """Step the only world several times from t0 [s] on, in one pose, without forces or sensors in between."""
+        """Step the only world several times from t0 [s] on, in one pose.
+
+        Forces and sensors are not computed between the steps.
+        """
         self.host.hold(posed, t0)
         with one_blas_thread:
             self.host.step_skins(t0, t0 + steps * self.models[0].spec.timestep_s, skins)

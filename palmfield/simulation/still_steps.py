@@ -1,6 +1,6 @@
-"""Coming steps of one world in one pose, for a recording on a device: the sound of all of them is computed together.
+"""Coming steps of one world in one pose, for a recording on a device. The sound of all of them is computed together.
 
-While nothing moves, the sound depends on time only. All other stages of each step are those of `HostBackend`. If
+While nothing moves, the sound depends only on time. All other stages of each step are those of `HostBackend`. If
 anything moves, or other code writes the state, the rest of the block is dropped.
 """
 
@@ -27,15 +27,17 @@ from palmfield.types import Complex, Float, Float32
 NOBODY: Rows = np.zeros(0, np.intp)
 ONE: Rows = np.zeros(1, np.intp)
 STEPS = 16
-"""Number of steps in a block. The last block of a run computes steps that are not used."""
+"""Number of steps in a block. In the last block of a run, some steps are computed but not used."""
 
 
 class Block(NamedTuple):
-    """The sound of N steps. starts: of each, and the end of the last [s], N + 1 numbers
+    """The sound of N steps.
 
-    emitted: emission at `starts`, (N + 1, n). course: emission at all moments, with one drive or one for each moment.
-    means: weights of the patterns of ARP in the mean over each step, (N, p)
-    pressed: mean ARP at the samples of each body in each step, (N, n); empty with one drive
+    starts: start of each step, and end of the last step [s], N + 1 numbers
+    emitted: emission at `starts`, shape (N + 1, n)
+    course: emission at all moments, with one drive or with one for each moment
+    means: weights of the ARP patterns in the mean over each step, shape (N, p)
+    pressed: mean ARP at the samples of each body in each step, shape (N, n); empty with one drive
     """
 
     posed: PosedScene
@@ -47,7 +49,10 @@ class Block(NamedTuple):
 
 
 class StillSteps(HostBackend):
-    """Backend for one stimulus and free sound, from the second step in a pose on, if every substep is observed."""
+    """Backend for one stimulus in the free field, if every substep is observed.
+
+    It works from the second step in a pose on.
+    """
 
     def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState):
         super().__init__(models, works, state, alone=False)
@@ -82,14 +87,14 @@ class StillSteps(HostBackend):
         return ONE
 
     def _goes_on(self, posed: PosedScene, t0: float) -> bool:
-        """Return whether the step from t0 [s] on is the next of the block."""
+        """Return whether the step from t0 [s] on is the next step of the block."""
         block, step = self._block, self._number
         if block is None or step == STEPS or posed is not block.posed or abs(t0 - block.starts[step]) > TICK_S:
             return False
         return bool(np.logical_and.reduce(self.state.emission()[0] == block.emitted[step]))
 
     def _computed(self, posed: PosedScene, t0: float) -> Block | None:
-        """Compute the steps from t0 [s] on; None if the level jumps in them."""
+        """Compute the steps from t0 [s] on. Returns None if the level jumps in them."""
         model, starts = self.models[0], [t0]
         while len(starts) <= STEPS:
             starts.append(starts[-1] + model.spec.timestep_s)
@@ -119,7 +124,7 @@ class StillSteps(HostBackend):
         return np.asarray(block.means[:, counted] @ arp)
 
     def _weights(self, starts: list[float], course: EmittedCourse) -> Float | None:
-        """Return `Block.means`, as in `Emission.mean_drives`; None if the course does not give them."""
+        """Return `Block.means`, as in `Emission.mean_drives`. None if they cannot be computed from the course."""
         model, [config] = self.models[0], self.models[0].configs
         count, substeps, step_s = len(starts) - 1, model.substeps, model.spec.timestep_s
         parts, steps = max(LEAST_MEANS, substeps), np.arange(count)

@@ -1,4 +1,4 @@
-"""Refuse, before the run, scenes that the board, the boundary elements, the bodies or the machine cannot do."""
+"""Refuse, before the run, scenes that the board, the boundary elements, the bodies or the machine cannot handle."""
 
 import math
 from collections.abc import Sequence
@@ -23,25 +23,28 @@ from palmfield.stimulus.schedule import frame_rates, turn_rate_Hz
 from palmfield.types import Float
 
 MOST_UNKNOWNS = 2_000_000
-"""Above this number of unknowns, the factors of a layer's matrix take more than 100 GB."""
+"""Largest number of unknowns of a layer. With more, the factors of its matrix take more than 100 GB."""
 FACTOR_BYTES = 180.0
-"""Size of the factors of a layer of n unknowns, over n^1.4: two by SuperLU and the blocks; for n of 1.5 k to 13 k."""
+"""Size of the factors of a layer with n unknowns, divided by n^1.4 [bytes].
+
+It includes two factors of SuperLU and the blocks, and was fitted for n from 1.5 k to 13 k.
+"""
 MOST_SUBSTEPS = 10_000
 """Largest number of substeps of a skin in one MuJoCo step."""
 LEAST_APART_M = 1e-3
-"""Least distance between transducers; those of two arrays may be point sources without width."""
+"""Smallest distance between transducers [m]. Those of different arrays may be point sources without width."""
 STILL_ECHO_M = 1e-5
-"""Largest movement of a disc before a rigid array face: 1/200 of the distance that changes the sign of an echo."""
+"""Largest movement of a disc in front of a rigid array face: 1/200 of the distance that changes the sign of an echo."""
 FACING = np.diag([1.0, -1.0, -1.0])
-"""Orientation of an array that faces another from above: a rotation by 180 degrees about x."""
+"""Orientation of an array that faces another array from above: a rotation by 180 degrees about x."""
 LEAST_POINTS = 3
-"""Least number of frames on one turn of a path: fewer do not define a path."""
+"""Smallest number of frames in one turn of a path. Fewer frames do not define a path."""
 SURFACE_KEYS = ("shape", *(key for key, shapes in OF_SHAPES.items() if shapes != BODIES))
-"""Keys that define the surface of a body; all skins on a body must agree on them."""
+"""Keys that define the surface of a body. They must be equal for all skins on a body."""
 
 
 def check_bodies(spec: SceneSpec) -> None:
-    """Raise SceneError for skins on one body whose keys define different surfaces, and two discs on one body."""
+    """Raise SceneError for skins on one body whose keys define different surfaces, and for two discs on one body."""
     first: dict[str, SkinSpec] = {}
     for skin in spec.skins:
         other = first.setdefault(skin.config.body, skin)
@@ -65,8 +68,8 @@ def check_bodies(spec: SceneSpec) -> None:
 def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
     """Raise SceneError for transducers of two arrays that are closer than their faces allow.
 
-    Places within one array come from one file or model. So only distances that are impossible for any transducer are
-    errors there.
+    Within one array, positions come from one file or model. So only distances that are impossible for any transducer
+    are errors.
     """
     positions = [arrays.array.positions[part] for part in arrays.slices]
     for number, name in enumerate(names):
@@ -89,12 +92,12 @@ def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
 
 
 def pitch_m(positions: Float) -> float:
-    """Return the least distance of two transducers [m], from their places, shape (n, 3); infinite for a single one."""
+    """Return the smallest distance of two transducers [m]; infinite for a single one. positions: shape (n, 3)"""
     return float(scipy.spatial.cKDTree(positions).query(positions, k=[2])[0].min()) if len(positions) > 1 else math.inf
 
 
 def check_overlaps(skins: Sequence[SkinModel]) -> None:
-    """Raise SceneError for overlapping layers on one body: the same skin would exist twice."""
+    """Raise SceneError for overlapping layers on one body, because the same skin would exist twice."""
     for number, skin in enumerate(skins):
         for other in skins[:number]:
             if other.body != skin.body:
@@ -110,7 +113,7 @@ def check_overlaps(skins: Sequence[SkinModel]) -> None:
 
 
 def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float, stimulus: StimulusModel) -> None:
-    """Raise SceneError for elements and steps so small that the run would not end. It needs sizes, but no mesh.
+    """Raise SceneError for elements and steps so small that the run would not end. This needs sizes, but no mesh.
 
     stimulus: the stimulus whose spot determines the sizes
     """
@@ -138,7 +141,7 @@ def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float, stimulus: S
 
 
 def _missed(skin: SkinSpec, layer: SceneLayer, stimulus: StimulusModel) -> str:
-    """Return the message that the focus misses the skin, if the sizes come from such a spot; else empty."""
+    """Return the message that the focus misses the skin, if the sizes come from such a spot; otherwise ""."""
     centre = skin.body.transform.points(np.array(skin.patch_centre))
     off_m, spot_m = float(np.linalg.norm(stimulus.first_focus - centre)), layer.demand.spot_fwhm_m
     if off_m <= max(spot_m, sum(layer.demand.path_reach_m)):
@@ -150,7 +153,7 @@ def _missed(skin: SkinSpec, layer: SceneLayer, stimulus: StimulusModel) -> str:
 
 
 def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusModel]) -> None:
-    """Raise SceneError for stimuli too costly for boundary elements: each focus and pose needs a new solution."""
+    """Raise SceneError for stimuli that need too many boundary-element solutions: one for each focus and pose."""
     if skin.config.body_sound != "scattering":
         return
     name = f"{skin.element}: key 'body_sound' has value 'scattering'; allowed:"
@@ -166,7 +169,7 @@ def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusModel]) -> None:
 
 
 def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
-    """Raise SceneError for a board on arrays that it does not drive."""
+    """Raise SceneError for a board with arrays that it does not drive."""
     if board.exact:
         return
     least, most = board.arrays
@@ -194,7 +197,7 @@ def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
 
 
 def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
-    """Raise DeviceError for a stimulus whose envelope differs from the one that the board generates."""
+    """Raise DeviceError for a stimulus whose envelope differs from the envelope that the board generates."""
     config = stimulus.config
     if config.modulation != "am":
         raise DeviceError(
@@ -278,7 +281,7 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
 def check_clear(posed: PosedScene) -> None:
     """Raise SceneError if the surface of a body or of an obstacle reaches into the board of an array.
 
-    Raise it also for a body that has left the place for which echoes from a rigid array face are computed.
+    Raise it also for a body that has moved from the place for which echoes from a rigid array face are computed.
     """
     if posed.arrays.wall_m is not None:
         _check_echo(posed, posed.arrays.wall_m)

@@ -1,4 +1,4 @@
-"""Working data of the steps of one world: emission, fields, and what is watched."""
+"""Working data of the steps of one world: emission, fields, and observed quantities."""
 
 from copy import copy
 from typing import TYPE_CHECKING
@@ -18,11 +18,11 @@ if TYPE_CHECKING:  # imported at use: few scenes have such a path
     from palmfield.simulation.path_sound import PathSound
 
 MOST_OFF_PATH = 8
-"""Number of consecutive courses off a path (as during ring-up) after which its stored fields are no longer used."""
+"""Number of consecutive courses off a path (as during ring-up) after which its stored fields are not used any more."""
 
 
 class Workspace:
-    """Working data of the steps of one world: emission, radiation, and what is watched.
+    """Working data of the steps of one world: emission, radiation, and observed quantities.
 
     path_sound: sound along a predicted path, None without one.
     outside: for each skin, the part of its load outside the class of its modes.
@@ -31,7 +31,7 @@ class Workspace:
     """
 
     def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
-        """beside: the Workspace of another world with the same bodies and thread; both share buffers."""
+        """beside: Workspace of another world with the same bodies and thread; both share buffers"""
         self.model = model
         self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
         self.emission = Emission(model)
@@ -67,7 +67,7 @@ class Workspace:
         self.outside = [OutsideClass() for _ in self.outside]
 
     def adopt(self, other: "Workspace") -> None:
-        """Continue from another one, in a copy of its state; of the same model in the same PosedScenes."""
+        """Continue from another Workspace of the same model, for a copy of its state in the same PosedScenes."""
         self.reference = other.reference
         self.emission.adopt(other.emission)
         self.radiation.continue_from(other.radiation)
@@ -76,13 +76,16 @@ class Workspace:
         self.outside = list(map(copy, other.outside))
 
     def look_ahead(self, posed: PosedScene) -> None:
-        """Switch look-ahead of the emission on if it saves time, which is not so on a path with predicted sound."""
+        """Let the emission compute steps ahead if this saves time. On a path with predicted sound it does not."""
         path = self.path_sound
         on_path = path is not None and path.off < MOST_OFF_PATH and path.holds(posed)
         self.emission.ahead = self._may_look_ahead and not on_path
 
     def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
-        """Return the operator from states of this stepper to watched values; the stepper may change in any step."""
+        """Return the operator from states of this stepper to the observed values.
+
+        The stepper may change in any step.
+        """
         operator = self.observe[skin]
         if operator is None:
             return None
@@ -93,7 +96,9 @@ class Workspace:
         return cached[1] if cached[2] is None or not self.in_coordinates else cached[2][0]
 
     def coordinates(self, skin: int, stepper: SkinStepper) -> Float | None:
-        """Return the matrix (r, m) that gives the watched values from the r coordinates that steps of this stepper
-        return; None if steps return the values."""
+        """Return the matrix (r, m) from the r coordinates that steps of this stepper return to the observed values.
+
+        Returns None if steps return the values themselves.
+        """
         cached = self._readers[skin, stepper][2] if self.in_coordinates else None
         return None if cached is None else cached[1]

@@ -1,4 +1,4 @@
-"""Choose the stepper of a skin: whole layer, reduced model for a predicted load, modes, or that of key `solver`."""
+"""Choose the stepper of a skin: full layer, reduced model for a predicted load, modes, or the one of key `solver`."""
 
 from collections.abc import Sequence
 
@@ -15,13 +15,13 @@ from palmfield.skin.stepper_choice import LayerWork, StepperChoice, chosen
 
 BY_KEY = "set by key solver"
 MOST_SMALL_MODELS = 8
-"""Largest number of reduced models of a skin, one per predicted load. One of a palm takes some 5 s and 14 MB."""
+"""Largest number of reduced models of a skin, one for each predicted load. One model of a palm takes 5 s and 14 MB."""
 
 
 def choose_stepper(
     spec: SceneSpec, skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...]
 ) -> StepperChoice:
-    """Choose the stepper by key `solver`, by which reductions are possible, and by predicted time.
+    """Choose the stepper: by key `solver`, by the reductions that are possible, and by predicted time.
 
     Raises SceneError if a reduced model or modes are requested but impossible.
     """
@@ -47,7 +47,8 @@ def common_choice(
 ) -> StepperChoice:
     """Choose one kind of stepper for a skin in all worlds.
 
-    choices: the choice for each world with sound alone; loads: number of different loads of these worlds
+    choices: for each world with sound, the choice if it were alone
+    loads: number of different loads of these worlds
     """
     few = choices[0].solver.any_pose or loads <= MOST_SMALL_MODELS or skin.config.solver != "auto"
     if few and len({choice.name for choice in choices}) == 1:
@@ -61,9 +62,9 @@ def common_choice(
 
 @phase("reduced model, modes or full wedge model")
 def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
-    """Return the first stepper of a skin: that of key `solver`, a reduced model for the predicted load in the
-    reference pose, or the whole layer.
+    """Return the first stepper of a skin.
 
+    It is that of key `solver`, or a reduced model for the predicted load in the reference pose, or the full layer.
     Raises SceneError for a reduced model that is requested but fails.
     """
     part = model.skins[skin]

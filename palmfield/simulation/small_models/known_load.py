@@ -1,6 +1,6 @@
-"""Loads that are predicted before the run: which scenes have one, and the reduced model of the skin for it.
+"""Loads that are predicted before the run: the scenes that have one, and the reduced model of the skin for it.
 
-A periodic stimulus loads skin at rest with few patterns. A reduced model is then enough.
+A periodic stimulus loads a resting skin with only a few patterns. A reduced model is then sufficient.
 """
 
 import math
@@ -43,44 +43,47 @@ from palmfield.stimulus.schedule import (
 from palmfield.types import Complex, Float, Float32
 
 SHARE = 0.1
-"""Share of the target accuracy allowed for the error of the reduced model."""
+"""Fraction of the target accuracy that is allowed for the error of the reduced model."""
 MOST_TURNS = 4
 """Largest number of turns of a path after which path and modulation together must repeat."""
 BAND = 2.5
-"""Harmonics of the load of a model are limited to this factor times the highest frequency that mesh and step
-resolve.
-"""
+"""Limit of the harmonics of the load of a model, relative to the highest frequency that mesh and step resolve."""
 TRIAL_S, LONGEST_TRIAL_S = 0.03, 0.1
-"""Time of the load under which models are compared [s], and its upper limit for a load with a longer period."""
+"""Duration of the load for which models are compared [s], and its upper limit for a load with a longer period."""
 TONES = 16
-"""Number of modulation frequencies, equally spaced up to the end of the band, at which models are compared."""
+"""Number of modulation frequencies at which models are compared. They are equally spaced up to the end of the band."""
 REST_S = 2.5e-3
-"""Longest rest of a focus at each point of its path [s]. With a longer rest the load is not one smooth course."""
+"""Longest rest of a focus at each point of its path [s]. With a longer rest, the load is not one smooth course."""
 MOST_SAMPLES = 1024
 SMALLEST = 1e-4
-"""Harmonics of a load below this share of the largest one are omitted from the model."""
+"""Smallest harmonic of a load that the model includes, relative to the largest one."""
 CLOSER, BEGIN_CLOSER = 16, 4
-"""Number of examples for each sample of a load, in the periodic state and during ring-up."""
+"""Number of examples per sample of a load, in the periodic state and during ring-up."""
 MOST_EXAMPLES, LEAST_CLOSER = 2400, 8
-"""Number of examples in the periodic state from which on they are fewer for each sample, since the time for their
-shapes increases with the square, and the least number. On stroke_palm the pressures between 8 examples a sample differ
-from sums of these shapes by 4e-4, rms, and those between 16 by 3e-4."""
+"""Number of examples in the periodic state above which there are fewer per sample, and the smallest number per sample.
+
+The time to compute the load shapes increases with the square of the number. On stroke_palm with 8 examples per sample,
+the pressures between the samples differ from sums of these shapes by 4e-4, rms; with 16 examples by 3e-4.
+"""
 SPAN_CLOSER = 4
-"""Drives per sample of a load; their linear combinations represent all of its drives."""
+"""Drives per sample of a load. Their linear combinations represent all drives of the load."""
 OMITTED = 3e-4
-"""Share of a predicted load that the load shapes may omit; with these shapes it is evaluated at few points."""
+"""Fraction of a predicted load that the load shapes may omit.
+
+With these shapes, few points are enough to evaluate it.
+"""
 DIGITS = 10
-"""Decimal places of drives."""
+"""Number of decimals to which drives are rounded."""
 BEGINNING = 48
 """Number of moments at which the load is computed during ring-up."""
 SETTLED = 12.0
-"""Ring-up ends after this number divided by the damping of the transducers."""
+"""Duration of ring-up, as a multiple of 1 over the damping of the transducers."""
 
 # -- which scenes have one -----------------------------------------------------------------------------------------
 
 
 def refusal(skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...]) -> str | None:
-    """Return why a skin cannot be reduced for these stimuli, in words, or None."""
+    """Return why a skin cannot have a reduced model for these stimuli, in words; None if it can."""
     if skin.moves:
         return "a script moves a part of the scene"
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
@@ -111,7 +114,7 @@ def refusal(skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...
 
 
 def expected_vectors(stimulus: StimulusModel) -> int:
-    """Return the expected number of vectors of the model, from the shipped scenes."""
+    """Return the expected number of vectors of the model. The estimate comes from the shipped scenes."""
     if one_shape(stimulus):
         return 60
     config = stimulus.config
@@ -130,7 +133,7 @@ def one_shape(stimulus: StimulusModel) -> bool:
 
 
 def has_path(model: HapticModel) -> bool:
-    """Return whether one stimulus moves along a predicted path, past bodies that are expected to stay at rest."""
+    """Return whether one stimulus moves along a predicted path while bodies are expected to stay at rest."""
     reduced = not all(skin.choice.solver.any_pose for skin in model.skins)
     if not reduced or one_shape(model.stimuli[model.sounding]):
         return False
@@ -138,7 +141,7 @@ def has_path(model: HapticModel) -> bool:
 
 
 def period_s(config: StimulusConfig) -> float | None:
-    """Return the period of focus and level together [s]; None if it is longer than MOST_TURNS turns."""
+    """Return the period after which focus and level repeat together [s]. None if it is longer than MOST_TURNS turns."""
     path = turn_rate_Hz(config)
     modulated = am_period_s(config)
     wave = None if modulated is None else 1.0 / modulated
@@ -149,7 +152,10 @@ def period_s(config: StimulusConfig) -> float | None:
 
 
 def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> int:
-    """Return the loads per period for harmonics up to BAND, a count that is equal for all held points of a path."""
+    """Return the number of load samples per period for harmonics up to BAND.
+
+    It is a multiple of the number of fixed points of a path, so that all have the same number of samples.
+    """
     points = max(points_a_turn(config), 1)
     band = BAND * (2.0 if points > 1 else 1.0) * max_frequency_Hz
     return points * math.ceil(max(32, 4 * math.ceil(band * turn_s)) / points)
@@ -161,8 +167,8 @@ def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> i
 def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
     """Return the reduced model for the predicted load.
 
-    Its parts are cached under the inputs of the load, so that a later run does not compute the load. Its vectors are
-    cached under the load itself, for use at any level. Raises SceneError as `reduced_stepper`.
+    Its parts are cached under the inputs of the load, so a later run need not compute the load. Its vectors are cached
+    under the load itself, for use at any level. Raises SceneError as `reduced_stepper`.
     """
     part = model.skins[skin]
     layer, posed = part.layer, reference_scene(model)
@@ -201,9 +207,9 @@ def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
 
 
 def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float32]:
-    """Return the load of the single sounding stimulus on a skin in a constant pose, and the pressures in it.
+    """Return the load of the single active stimulus on a skin in a constant pose, and the pressures of this load.
 
-    The pressures are at the points of the quadrature [Pa], shape (t, q).
+    The pressures are at the quadrature points [Pa], shape (t, q).
     """
     number = model.sounding
     stimulus, radiation = model.stimuli[number], Radiation(model)
@@ -270,7 +276,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
 
 
 def _tones(config: StimulusConfig) -> list[tuple[Float, Complex]]:
-    """Return the first two lines of modulation at TONES frequencies of the band that ends at that of the stimulus."""
+    """Return the first two spectral lines of a modulation at TONES frequencies of the stimulus's band."""
     lines, highest_Hz = arp_lines(config), config.am_frequency_Hz
     if lines is None or highest_Hz is None:
         return []
@@ -281,7 +287,8 @@ def _tones(config: StimulusConfig) -> list[tuple[Float, Complex]]:
 def at_end_of_band(config: StimulusConfig, highest_Hz: float) -> StimulusConfig:
     """Return a stimulus with its modulation at the highest frequency of the band.
 
-    All frequencies of the band then share the model of a load with a constant shape. highest_Hz: of mesh and step.
+    All frequencies of the band then share one model, if the load has a constant shape. highest_Hz: highest frequency
+    that mesh and step resolve
     """
     if config.modulation == "none" or config.am_frequency_Hz is None or config.am_waveform == "burst":
         return config
@@ -299,7 +306,7 @@ def _settling_s(stimulus: StimulusModel) -> float:
 
 
 def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: float, skip: int, count: int) -> Complex:
-    """Return the emission at `count` times from the start of the sound on, after the first `skip`, (count, N).
+    """Return the emission at `count` times from the start of the sound, after the first `skip` times, shape (count, N).
 
     Only the periodic part of the stimulus is used, without ramp and end.
     """
@@ -319,9 +326,9 @@ def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: fl
 
 
 def path_drives(model: HapticModel, posed: PosedScene) -> Complex:
-    """Return the emission along the path of the sounding stimulus, which is periodic, shape (m, N).
+    """Return the emission along the path of the active stimulus, which is periodic, shape (m, N).
 
-    These drives span all others, also those during ring-up.
+    These drives span all other drives of the stimulus, including those during ring-up.
     """
     number = model.sounding
     config, settling = model.configs[number], _settling_s(model.stimuli[number])
@@ -338,8 +345,8 @@ def path_drives(model: HapticModel, posed: PosedScene) -> Complex:
 def at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Complex, float]:
     """Return drives divided by a level, that of the loudest transducer by default, and the level.
 
-    A model is valid for its load at any level. Drives without level and without the last digits give the same cache
-    key for all levels.
+    A model is valid for its load at any level. Drives that are divided by the level and rounded give the same cache key
+    for all levels.
     """
     level_of = level_of or float(np.abs(drives).max()) or 1.0
     return np.round(drives / level_of, DIGITS), level_of

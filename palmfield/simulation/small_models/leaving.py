@@ -1,6 +1,6 @@
 """End of the validity of a reduced model of a skin, and the change to the whole layer.
 
-The part of the loads on a skin outside the class of its modes is measured in every step.
+In every step, the part of the loads outside the class of the modes is measured.
 """
 
 import math
@@ -20,8 +20,11 @@ from palmfield.stimulus.schedule import first_point
 from palmfield.types import Complex, Float
 
 SHORT_WAVES = 3.0
-"""Approximate ratio of the velocity error due to load outside the class to its share of the pressure. Its waves are
-shorter than those of the class. Sudden pressure moves skin only to the depth of its wavelength, and so faster."""
+"""Velocity error due to load outside the class, divided by the fraction of pressure outside the class; approximate.
+
+Such load has shorter waves than the class. Sudden pressure moves skin only to a depth of about its wavelength, so short
+waves cause faster motion.
+"""
 
 
 def leaves_small_model(
@@ -33,9 +36,10 @@ def leaves_small_model(
     emission: Emission,
     t0: float,
 ) -> bool:
-    """Whether the reduced model of a skin has become invalid: body, arrays or focus have moved, or the run starts late.
+    """Return whether the reduced model of a skin has become invalid.
 
-    A late run begins after the start of the sound. Raises SceneError instead if key `solver` names the stepper.
+    This is so if body, arrays or focus have moved, or if the run begins after the start of the sound. Raises SceneError
+    instead if key `solver` names the stepper.
     """
     part = model.skins[skin]
     if state.skins[skin][0, 0] == WHOLE:
@@ -74,7 +78,7 @@ def continue_on_whole_layer(
     amplitudes: Complex,
     t0: float,
 ) -> None:
-    """Expand the motion of a reduced model to the whole layer, in place; amplitudes: emission at t0 [s], shape (N,)."""
+    """Expand the motion of a reduced model to the full layer, in place. amplitudes: emission at t0 [s], shape (N,)"""
     small, whole = model.begin[skin].value, model.whole[skin].value
     numbers = state.skins[skin][:, HEADER:]
 
@@ -95,9 +99,9 @@ def continue_on_whole_layer(
 class OutsideClass:
     """The part of the loads on a skin in a run that was outside the class of its modes.
 
-    sums: squares over all substeps.
-    loudest: largest energy of the load in one step, at least that of a focus in the middle of the skin; None before
-        the first step.
+    sums: sums of squares over all substeps
+    loudest: largest energy of the load in one step, at least that of a focus in the middle of the skin; None before the
+        first step
     """
 
     def __init__(self) -> None:
@@ -105,7 +109,7 @@ class OutsideClass:
         self.loudest: float | None = None
 
     def add(self, step: Outside) -> float:
-        """Add the loads of a step; return the part outside the class, in the energy norm, relative to the loudest step.
+        """Add the loads of a step. Return the part outside the class, in the energy norm, relative to the loudest step.
 
         `loudest` must be set.
         """
@@ -117,29 +121,30 @@ class OutsideClass:
 
     @property
     def energy_share(self) -> float:
-        """Return the share of all loads outside the class, in the energy norm; about the error in the displacement."""
+        """Return the fraction of all loads outside the class, in the energy norm.
+
+        It is about the error of the displacement.
+        """
         return math.sqrt(self.sums.energy / self.sums.energy_of_all) if self.sums.energy_of_all > 0.0 else 0.0
 
     @property
     def pressure_share(self) -> float:
-        """Return the share of all loads outside the class, in the norm of the pressure."""
+        """Return the fraction of all loads outside the class, in the norm of the pressure."""
         return math.sqrt(self.sums.plain / self.sums.plain_of_all) if self.sums.plain_of_all > 0.0 else 0.0
 
     def errors(self, added: tuple[float, float | None]) -> tuple[float, float | None]:
-        """Return the errors that modes add (`SkinStepper.adds_error`), including the effect of loads outside the
-        class.
-        """
+        """Return the errors that modes add (`SkinStepper.adds_error`), with the effect of loads outside the class."""
         displacement, velocity = added
         quick = SHORT_WAVES * self.pressure_share
         return math.hypot(displacement, self.energy_share), None if velocity is None else math.hypot(velocity, quick)
 
 
 def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
-    """Whether modes have become invalid: the part of the load of a step outside their class exceeds the target
-    accuracy.
+    """Return whether modes have become invalid.
 
-    share: see OutsideClass.add, one number or several. If key `solver` requests modes, they continue, and the error of
-    the run includes this part.
+    This is so if the part of the load of a step outside their class exceeds the target accuracy.
+    share: see OutsideClass.add, one number or several
+    If key `solver` requests modes, they continue, and the error of the run includes this part.
     """
     config = model.skins[skin].spec.config
     return (config.solver == "auto") & (share > config.accuracy)
@@ -148,8 +153,10 @@ def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
 def loudest_load(
     model: HapticModel, skin: int, stepper: SkinStepper, reference: PosedScene, radiation: Radiation
 ) -> float:
-    """Return the load energy of a steady focus in the middle of a skin over a step, in the reference pose. It is the
-    reference for the size of loads, so that sound that misses the skin counts as small."""
+    """Return the load energy of a steady focus in the middle of a skin over a step, in the reference pose.
+
+    It is the reference for the size of loads. So the load of sound that misses the skin counts as small.
+    """
     frame = reference.skins[skin].body.frame
     centre = frame.points(np.array(model.skins[skin].spec.patch_centre))
     assert stepper.points is not None

@@ -1,12 +1,12 @@
 """Class of all sounds that the arrays can make on a skin, for loads that cannot be predicted before the run.
 
-The class is made of examples: foci on the region of the skin for which its layer is made, one or two at a time, from
-each array and from all. The body is in the reference pose, or moved and tilted from there. The class does not depend
-on the stimulus, so its modes can be used for all stimuli and for every moving hand.
+The class is spanned by examples. In an example, one or two foci are on the region of the skin for which its layer is
+made; one array or all arrays emit. The body is in the reference pose, or it is shifted and tilted from this pose. The
+class does not depend on the stimulus. So its modes can be used for all stimuli and for every moving hand.
 
-The examples are drawn in a frame on the skin, together with their images under quarter turns about its normal and
-under mirroring. They are equal for every array and combination of arrays. So they are independent of rotation and
-mirroring of the scene, of the order of its arrays, and of the mesh of the skin.
+The examples are drawn in a frame on the skin. Each has images under quarter turns about the normal and under mirroring.
+The examples are equal for every array and combination of arrays. So they do not depend on rotation and mirroring of the
+scene, on the order of its arrays, or on the mesh of the skin.
 """
 
 import math
@@ -43,28 +43,38 @@ MOVES = (
     ((0.0, 0.0, -0.025), (0.0, 0.0), 8, 5),
     ((0.018, 0.018, 0.0), (0.12, -0.12), 8, 5),
 )
-"""Motions of the body in the examples: shift along the two axes of the frame of the skin and outwards [m], tilt about
-these axes [rad]; number of examples with one focus, and with two of any relative phase; all without their images."""
+"""Motions of the body in the examples.
+
+Each entry has a shift along the two axes of the skin frame and outwards [m], a tilt about these axes [rad], the number
+of examples with one focus, and the number with two foci of any relative phase. Images are not counted.
+"""
 NEAREST = 0.5
-"""Upper limit of a shift, as a share of the distance from the skin to the nearest transducer."""
+"""Upper limit of a shift, as a fraction of the distance from the skin to the nearest transducer."""
 ALONG = 0.9
-"""If the first axis of the body has a larger component along the normal of the skin, its second axis defines the
-frame.
+"""Largest component of the first body axis along the normal of the skin.
+
+Above it, the second axis defines the frame.
 """
 OFF_SKIN_m = 0.006
-"""Largest distance by which a focus misses the skin in an example, along each axis [m]."""
+"""Largest distance of a focus from the skin in an example, along each axis [m]."""
 SPAN = 0.1
-"""Share of the target accuracy that the shapes of the class may omit from its examples."""
+"""Fraction of the target accuracy that the load shapes of the class may omit from its examples."""
 LEAST_OMITTED = 0.0075
-"""Below this value an additional shape reduces the error less than an additional block of modes."""
+"""Smallest omitted part for which another load shape helps. Below it, another block of modes reduces the error more."""
 WEAK, MOST_WEAK = 0.3, 0.025
-"""Share of the target accuracy, in the energy norm, that omitted weak modes may cost; and its upper limit."""
+"""Fraction of the target accuracy, in the energy norm, that omitted weak modes may cost; and its upper limit."""
 WEAK_TOGETHER = 0.3
-"""The same share with several relaxation laws, which couple modes: few are lossy, and weak ones follow slow loads."""
+"""The same fraction with several relaxation laws.
+
+They couple modes; few modes are lossy, and weak ones follow slow loads.
+"""
 EDGES_SPAN, EDGES_POINTS = 0.5, 4
-"""SPAN with shadows, and points for each shape: shadow edges need far more shapes than sound alone."""
+"""SPAN for a skin with shadows, and number of points per load shape.
+
+Shadow edges need far more shapes than sound alone.
+"""
 FINGER_m = 0.008, 0.02
-"""Widths of the shadow-casting objects in the examples."""
+"""Widths of the objects that cast shadows in the examples."""
 _lock = threading.RLock()
 # The last modes of a layer and their other inputs, in memory: reading 100 MB from the disk cache takes a second
 _bodies: "WeakKeyDictionary[SceneLayer, tuple[str, ModalBody]]" = WeakKeyDictionary()
@@ -73,7 +83,7 @@ _bodies: "WeakKeyDictionary[SceneLayer, tuple[str, ModalBody]]" = WeakKeyDiction
 def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "ModalStepper":
     """Return the modes of the layer of a skin for the class of its loads.
 
-    blocks: number of blocks of the space of the modes; default: the number for the accuracy of the skin.
+    blocks: number of Krylov blocks of the space of the modes; default: the number for the accuracy of the skin
     Raises SceneError if modes are impossible.
     """
     from palmfield.skin.reduction.modal_stepper import ModalStepper, modal_body
@@ -111,8 +121,8 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "
 def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
     """Return the ARP of examples at the quadrature points of a skin [Pa], shape (t, q); posed: the reference.
 
-    If the sound on the skin has shadows, the examples have shadows at any place, whatever the obstacles in the
-    reference.
+    If the sound on the skin has shadows, the examples have shadows at all places, independent of the obstacles in the
+    reference scene.
     """
     rng, shading = np.random.default_rng(0), np.random.default_rng(1)
     arrays, layer = posed.arrays, model.skins[skin].layer
@@ -145,7 +155,7 @@ def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
 
 
 def _skin_axes(layer: SceneLayer, middle: Float, region_m: float) -> Float:
-    """Return the frame of a skin in the frame of the body, by column: two tangents and the outward normal, (3, 3)."""
+    """Return the frame of a skin in the frame of the body: two tangents and the outward normal as columns, (3, 3)."""
     quadrature = layer.quadrature
     near = np.linalg.norm(quadrature.points - middle, axis=1) < region_m
     normal = (quadrature.weights * near) @ quadrature.normals
@@ -157,7 +167,7 @@ def _skin_axes(layer: SceneLayer, middle: Float, region_m: float) -> Float:
 
 
 def _images() -> list[Float]:
-    """Return quarter turns about the third axis, and with them the mirror images, (3, 3) each."""
+    """Return the quarter turns about the third axis, each also with a mirror, (3, 3) each."""
     turns = [np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
     return [turn @ np.diag([1.0, mirror, 1.0]) for mirror in (1.0, -1.0) for turn in turns]
 
@@ -165,18 +175,18 @@ def _images() -> list[Float]:
 def _images_of(move: Float) -> list[Float]:
     """Return the distinct images of a shift [m] and of the two components of a tilt [rad], (5,) each.
 
-    A mirror reverses the sense of a rotation.
+    A mirror changes the sign of a rotation.
     """
     images = [np.array([*(g @ move[:3]), *(np.linalg.det(g) * g[:2, :2] @ move[3:])]) for g in _images()]
     return list({tuple(np.round(image, 9) + 0.0): image for image in images}.values())
 
 
 def _foci(rng: np.random.Generator, offsets: Float, region_m: float, count: int) -> Float:
-    """Return foci near the skin and their images, from its centre in the frame of the skin [m], shape (images, count,
-    3).
+    """Return foci near the skin and their images, relative to its centre, in the frame of the skin [m].
 
-    offsets: offsets of the quadrature points, in that frame, shape (q, 3). Foci are uniform over the area of the
-    region, by distance from the middle and direction, and take their height from the nearest point.
+    offsets: offsets of the quadrature points in that frame, shape (q, 3)
+    The result has shape (images, count, 3). Foci are uniform over the area of the region, in distance from the middle
+    and in direction. Each takes its height from the nearest point.
     """
     distance = np.linalg.norm(offsets, axis=1)
     near = offsets[distance < region_m]
@@ -197,7 +207,10 @@ def _foci(rng: np.random.Generator, offsets: Float, region_m: float, count: int)
 
 
 def _sources(arrays: PhasedArray, centre: Float, axes: Float) -> list[Int]:
-    """Return groups of transducers of the examples: all, and each of several arrays, in an order by place only."""
+    """Return the groups of transducers of the examples: all, and those of each array.
+
+    Their order depends only on place.
+    """
     everything = np.arange(len(arrays), dtype=np.int32)
     if len(arrays.slices) == 1:
         return [everything]
@@ -211,7 +224,7 @@ def _has_edges(skin: SkinSpec) -> bool:
 
 
 def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return which points lie outside the shadow of a straight finger or half plane, and of its images.
+    """Return which points are outside the shadow of a straight finger or a half plane, and of its images.
 
     offsets: offsets of the points from the middle of the region in the frame of the skin [m], shape (q, 3)
     Returns shape (images * count, q), image by image, in the order of foci.
@@ -226,7 +239,7 @@ def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) 
 
 
 def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn: Float, shift_m: Float) -> PosedScene:
-    """Return the scene with the body of a skin turned about a point and moved, array frame."""
+    """Return the scene with the body of a skin rotated about a point and shifted, array frame."""
     part = model.skins[skin]
     before = posed.bodies[part.body]
     frame = Transform(turn @ (before.frame.position - centre) + centre + shift_m, turn @ before.frame.rotation)
@@ -242,10 +255,11 @@ def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn
 def _drives(
     model: HapticModel, arrays: PhasedArray, sources: Sequence[Int], single: Float, pairs: Float, phases: Complex
 ) -> tuple[Complex, Int]:
-    """Return drives of each source for single foci, and of each two sources for pairs of foci, shape (d, N).
+    """Return the drives of each source for single foci, and of each two sources for pairs of foci, shape (d, N).
 
-    Return also the index of the focus or pair of each drive, shape (d,). Foci behind an array get no drive.
-    sources: transducers, see `_sources`; single, pairs: foci, array frame [m], shapes (i, s, 3) and (i, 2 p, 3)
+    The index of the focus or pair of each drive, shape (d,), is also returned. Foci behind an array get no drive.
+    sources: groups of transducers, see `_sources`
+    single, pairs: foci, array frame [m], shapes (i, s, 3) and (i, 2 p, 3)
     phases: phases of the second focus of each pair, as a factor, shape (p,)
     """
     drives = [ArrayDrive(arrays, chosen, None, None, model.board) for chosen in sources]

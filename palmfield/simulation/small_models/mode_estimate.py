@@ -1,4 +1,4 @@
-"""Estimates for the modes of a skin before they are computed: whether they can be used, and about how many."""
+"""Estimates for the modes of a skin before they are computed: whether they are possible, and their number."""
 
 import math
 
@@ -9,17 +9,20 @@ from palmfield.skin.scene_layer import SceneLayer
 from palmfield.stimulus.schedule import frame_rates, main_frequencies, turn_m, turn_rate_Hz
 
 BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
-"""Number of blocks of the space of modes at one accuracy, and the exponent of its decrease with accuracy."""
+"""Number of Krylov blocks for the modes at one accuracy, and the exponent with which it decreases with accuracy."""
 SHARE_OF_VECTORS = 0.36
-"""Approximate number of modes per block and shape without the weak ones."""
+"""Approximate number of modes per block and load shape, without the weak modes."""
 SHAPES = 15.0
 """Approximate number of load shapes at accuracy 0.2 on a region as wide as a spot."""
 LEAST_CORNER_Hz = 75.0
-"""Corner of the spectrum of a load with only onset and end; the spectrum of a start or stop falls as 1/f."""
+"""Corner frequency of the load spectrum of a stimulus with only start and end. The spectrum of a step falls as 1/f."""
 
 
 def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
-    """Return why general modes of a skin are impossible, in words, or None; reasons that need matrices come later."""
+    """Return why general modes of a skin are impossible, in words; None if they are possible.
+
+    Reasons that need matrices are found later.
+    """
     config = skin.config
     if config.body_sound == "scattering":
         return "boundary elements for every sample load would cost more than a run"
@@ -31,18 +34,18 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
 
 
 def laws(layer: SceneLayer) -> int:
-    """Return the number of relaxation laws of the sheets of a layer."""
+    """Return the number of relaxation laws in the material sheets of a layer."""
     return len({sheet.material.law for sheet in layer.sheets})
 
 
 def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:
-    """Return the expected number of modes, from the shipped scenes."""
+    """Return the expected number of modes. The estimate comes from the shipped scenes."""
     shapes = SHAPES * (region_m(layer) / layer.demand.spot_fwhm_m) ** 2 * (0.2 / skin.config.accuracy) ** 0.35
     return float(SHARE_OF_VECTORS * block_count(skin.config.accuracy) * shapes)
 
 
 def block_count(accuracy: float) -> int:
-    """Return the number of blocks of the space of modes for an accuracy of the skin."""
+    """Return the number of Krylov blocks for the modes at an accuracy of the skin."""
     blocks: float = BLOCKS * (BLOCKS_AT / accuracy) ** BLOCKS_POWER
     return max(round(blocks), 3)
 
@@ -50,7 +53,7 @@ def block_count(accuracy: float) -> int:
 def region_m(layer: SceneLayer) -> float:
     """Return the radius of the region of a skin that contains the foci of the class [m].
 
-    The region has fine elements: a whole patch of given radius, with a margin for foci that touch it from outside.
+    The region has fine elements. It is a patch of a certain radius, with a margin for foci that touch it from outside.
     """
     sizes, spot_m = layer.sizes, layer.demand.spot_fwhm_m
     if layer.config.patch_radius_m or layer.config.shape == "disc":
@@ -61,8 +64,9 @@ def region_m(layer: SceneLayer) -> float:
 def corner_Hz(stimulus: StimulusModel, spot_m: float) -> float:
     """Return the approximate frequency above which the load spectrum of a stimulus falls [Hz].
 
-    A focus with speed v and spot width w passes a point in w / v. A focus that jumps at some rate counts as one that
-    moves on within this time. AM adds its own frequency. spot_m: width of the spot [m].
+    spot_m: width of the spot [m]
+    A focus with speed v and spot width w passes a point in the time w / v. A focus that jumps at some rate counts as
+    one that moves to the next point in this time. AM adds its own frequency.
     """
     config = stimulus.config
     corners = [LEAST_CORNER_Hz, *(0.5 * f for f in frame_rates(config))]
