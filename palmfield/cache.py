@@ -2,10 +2,10 @@
 
 The cache is a folder of NumPy archives, one for each result. The name of a file is a digest of all inputs and of the
 code. The folder is the user's cache folder, or that of environment variable PALMFIELD_CACHE (`off`: no cache). If it
-exceeds its limit (2 GB or PALMFIELD_CACHE_MB), the least recently used results are removed. A result is first written
-to a temporary file, which is then renamed. So no process reads an incomplete file. A file also contains a digest of its
-inputs and a digest of its arrays. If it cannot be read, or a digest does not match, the result is computed again, and a
-message is logged.
+exceeds its limit (2 GB or PALMFIELD_CACHE_MB), the least recently used results are removed. A result is written to a
+temporary file, which is then renamed, so no process reads an incomplete file. A file also contains a digest of its
+inputs and one of its arrays. If it cannot be read, or a digest does not match, the result is computed again, with a
+message.
 """
 
 import dataclasses
@@ -84,11 +84,9 @@ def kept(
 ) -> Arrays:
     """Return the result of `make`, from the cache if an earlier run stored it.
 
-    kind: kind of result, a word for the file name
-    depends_on: all inputs of the result, see `digest`
+    kind: kind of result, a word for the file name; depends_on: all inputs of the result, see `digest`
     make: function that returns the result as arrays by name, without objects. If it raises an error, nothing is stored
-    where: folder that replaces that of the environment
-    code: digest of the code, None for `code_mark`
+    where: folder that replaces that of the environment; code: digest of the code, None for `code_mark`
     """
     where = where or folder()
     work = phase(kind.replace("-", " "))(make)

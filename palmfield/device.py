@@ -92,9 +92,7 @@ _start()
 
 
 def resolve(device: str = "auto") -> str:
-    """Return the name of the Warp device for `auto`, `cpu` or `cuda:N`.
-
-    `auto` is the first GPU, or the CPU without GPU.
+    """Return the name of the Warp device for `auto` (first GPU, or else the CPU), `cpu` or `cuda:N`.
 
     Raises PalmfieldError if the device is not on this machine.
     """
@@ -110,8 +108,7 @@ class SharedArray:
     """An array of fixed size: `host` for NumPy, `array` for kernels.
 
     On the CPU both use the same memory. On a GPU `host` is pinned memory. `upload` and `download` copy data in the
-    order of the stream of the device. Synchronise the stream (`wp.synchronize_stream`) before you read downloaded data
-    in `host`.
+    order of the device's stream. Synchronise it (`wp.synchronize_stream`) before you read downloaded data.
 
     shape: shape of the Warp array; dtype: its type, for example wp.vec3; device: as returned by `resolve`
     """
@@ -288,10 +285,9 @@ def load_ahead(modules: Iterable[Any], device: str) -> None:
 
 
 def load_kernels(module: Any, device: str, block_dim: int = THREADS) -> None:
-    """Load a module of kernels (or the module of a kernel) before all others.
+    """Load a module of kernels (or that of a kernel) before all others. Ctrl-C does not wait for the compiler.
 
-    block_dim: threads per block on a GPU
-    Raises the errors of Warp. Ctrl-C takes effect without waiting for the compiler.
+    block_dim: threads per block on a GPU. Raises the errors of Warp.
     """
     loader, load = _load_of(module, device, block_dim)
     if not load[0].done():
@@ -339,10 +335,7 @@ def matrix_product(left: Any, right: Any, result: Any, device: str) -> Callable[
 
 
 launching = threading.Lock()
-"""Lock that is acquired while a graph is captured.
-
-Otherwise launches by other threads would become part of the graph.
-"""
+"""Lock during the capture of a graph. Otherwise launches by other threads would become part of the graph."""
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ class PalmfieldError(Exception):
     """Base of every error that a user can cause and correct; the command line prints it and exits with 2.
 
     about: names that precede the text, outermost first: a world, an element of a scene, a key
-    setting: name of the setting with the invalid value, "" for none
-    mends: names of settings that can correct the error `palmfield.config.base.naming_keys` adds both to the text if
-        they are keys of a scene.
+    setting: name of the setting with the invalid value, "" for none; mends: names of settings that can correct the
+        error `palmfield.config.base.naming_keys` adds both to the text if they are keys of a scene.
     """
 
     def __init__(self, text: str = "", *about: str, setting: str = "", mends: Sequence[str] = ()):
@@ -47,10 +46,7 @@ def unwritable(path: object, error: OSError) -> OutputError:
 
 
 def reason_of(error: BaseException, longest: int | None = None) -> str:
-    """Return the message of a system or library error in one line of at most `longest` letters.
-
-    Without one, its type.
-    """
+    """Return a system or library error's message in one line of at most `longest` letters, or its type."""
     text = str(getattr(error, "strerror", None) or error)
     return " ".join(text.split())[:longest] or type(error).__name__
 

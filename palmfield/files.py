@@ -36,8 +36,7 @@ class Unfit(OSError):
 def reading(what: object, error: type[PalmfieldError], instead: str) -> Iterator[None]:
     """Convert errors of the system, or of a decoder, to `error`. The block reads a file.
 
-    what: the file, with its option if any
-    instead: remedy in the message, such as "a CSV file in UTF-8"
+    what: the file, with its option if any; instead: remedy in the message, such as "a CSV file in UTF-8"
     """
     try:
         yield
@@ -73,26 +72,17 @@ def read_bytes(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: str | Path, encoding: str = "utf-8", most_bytes: int = MOST_BYTES) -> str:
-    r"""Return the text of a regular file, with line ends \n.
-
-    Raises OSError as `regular` does, and UnicodeDecodeError.
-    """
+    r"""Return the text of a regular file with line ends \n. Raises OSError as `regular`, and UnicodeDecodeError."""
     return read_bytes(path, most_bytes).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Return the tables of a TOML file.
-
-    Raises OSError as `regular` does, and ValueError for other text and as `plain`.
-    """
+    """Return the tables of a TOML file. Raises OSError as `regular`, ValueError for other text and as `plain`."""
     return plain(tomllib.loads, read_text(path, most_bytes=MOST_SETTINGS_BYTES))
 
 
 def read_json(path: str | Path) -> Any:
-    """Return the content of a JSON file.
-
-    Raises OSError as `regular` does, and ValueError for other text and as `plain`.
-    """
+    """Return the content of a JSON file. Raises OSError as `regular`, ValueError for other text and as `plain`."""
     return plain(json.loads, read_text(path, most_bytes=MOST_SETTINGS_BYTES))
 
 

@@ -21,9 +21,8 @@ class interrupts_delayed:
             check()
 
     The previous handler then handles Ctrl-C: KeyboardInterrupt by default, or the handler of the program. After an
-    error in the block, Ctrl-C is ignored. In three cases this context has no effect: in a nested block, because the
-    outer block delays Ctrl-C; if the process ignores Ctrl-C or ends by it without Python; and in other threads, where
-    Ctrl-C does not arrive.
+    error in the block, Ctrl-C is ignored. The context has no effect in a nested block (the outer block delays Ctrl-C),
+    if the process ignores Ctrl-C or ends by it without Python, and in other threads.
     """
 
     _inside: ClassVar[bool] = False

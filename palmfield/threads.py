@@ -105,10 +105,7 @@ def _helpers() -> "SimpleQueue[_Offer]":
 
 
 def in_parts(count: int, size: int, work: Callable[[slice], object]) -> None:
-    """Divide a range into slices of a fixed size, and call `work` for all slices, on all cores.
-
-    The slices do not depend on the number of cores.
-    """
+    """Call `work` for slices of a range, on all cores. The slices do not depend on the number of cores."""
     share([(functools.partial(work, slice(at, min(at + size, count))),) for at in range(0, count, size)], cores())
 
 
@@ -123,10 +120,7 @@ def _help(waiting: "SimpleQueue[_Offer]") -> None:
 
 
 def _do_all(todo: Iterator[Calls]) -> BaseException | None:
-    """Run the remaining blocks, and return their error.
-
-    It is a separate function, so that no references to calls remain.
-    """
+    """Run the remaining blocks; return their error. As a separate function it keeps no references to calls."""
     try:
         for calls in todo:
             for call in calls:

@@ -12,8 +12,7 @@ Numbers = tuple[float, ...]
 class Transform(NamedTuple):
     """Pose of a frame relative to an outer frame: x_outer = rotation @ x + position.
 
-    position: origin of the frame [m], shape (3,)
-    rotation: axes of the frame as columns, shape (3, 3)
+    position: origin of the frame [m], shape (3,); rotation: axes of the frame as columns, shape (3, 3)
     """
 
     position: Float
@@ -47,8 +46,7 @@ IDENTITY = Transform(np.zeros(3), np.eye(3))
 class Placement(NamedTuple):
     """Pose of an array or body in another frame, as numbers that can be compared and hashed.
 
-    position: [m], 3 numbers
-    rotation: 9 numbers, row by row
+    position: [m], 3 numbers; rotation: 9 numbers, row by row
     sites: position [m] and emitting direction of each transducer in the array frame, for layout `sites`, whose
         transducers may move relative to each other; empty for other layouts
     """

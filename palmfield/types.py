@@ -30,8 +30,7 @@ class Estimate:
     """A number with its range.
 
     low, high: ends of the range, in the unit of the number, low <= value <= high
-    kind: origin of the number
-    source: source of the number in words
+    kind: origin of the number; source: source of the number in words
     """
 
     value: float
@@ -49,13 +48,12 @@ class Estimate:
 class Array:
     """Transducers of one array, in the array frame (origin at their centroid, x right, y up the board, z out).
 
-    positions: [m], shape (n, 3), float64
-    normals: unit emitting directions, shape (n, 3), float64
+    positions: [m], shape (n, 3), float64; normals: unit emitting directions, shape (n, 3), float64
     p0_Pa_m: peak pressure of one transducer at 1 m on its axis at full drive, without absorption [Pa m]
     piston_radius_m: radius of the baffled piston whose directivity is used [m]; 0 is a point source
     address: index of each transducer in the byte order of the board, shape (n,), or None
-    gain: complex factor of the sound of each transducer, shape (n,): 0 for a dead one, -1 for reversed polarity;
-        None is 1 for all
+    gain: complex factor of the sound of each transducer, shape (n,): 0 for a dead one, -1 for reversed polarity; None
+        is 1 for all
     directivity_table: measured directivity that replaces that of the piston, shape (m, 2): angle to the axis [deg] and
         amplitude relative to the axis; None: use `directivity`
     directivity: name of a form of `palmfield.acoustics.directivities`

@@ -34,8 +34,7 @@ class Sound:
     """Constants of all pairs of transducer and point; polynomials have the lowest power first.
 
     turns_per_m, turns32_per_m, wavenumber_rad_m: one over the wavelength [1/m], in both precisions, and 2 pi times that
-    absorption_Np_m: amplitude absorption [Np/m]
-    directivity: polynomial in q = cos^2 of the angle off the axis
+    absorption_Np_m: amplitude absorption [Np/m]; directivity: polynomial in q = cos^2 of the angle off the axis
     slope: twice the derivative of the directivity by q, over k
     sine, cosine: sin(2 pi f)/f and cos(2 pi f) in f^2, for f within half a turn
     """
@@ -182,8 +181,7 @@ FALLS = {"quadratic": fall_quadratic, "cubic": fall_cubic, "exponential": fall_e
 class Form:
     """Options with which kernels are built.
 
-    gpu: for a GPU instead of the CPU
-    accurate: geometry and phase in float64, all else in float32
+    gpu: for a GPU instead of the CPU; accurate: geometry and phase in float64, all else in float32
     fall: method for the decay of the amplitude with distance, a key of FALLS
     smooth: directivity as a quartic and its slope as a cubic, instead of a quintic and a quartic
     flat: transducers of a group are in a plane; otherwise the fourth number of an element is its height over the plane

@@ -13,10 +13,8 @@ FAR = wp.constant(1.0e3)
 class Segment:
     """A capsule whose cross-section is an ellipse with different heights on the two sides of the axis.
 
-    start, end: axis [m]
-    semi_start, semi_end: half-widths at the ends: lateral, dorsal, palmar [m]
-    dorsal: unit vector across the axis
-    group: 0 palm, 1 thumb, 2..5 fingers
+    start, end: axis [m]; semi_start, semi_end: half-widths at the ends: lateral, dorsal, palmar [m]
+    dorsal: unit vector across the axis; group: 0 palm, 1 thumb, 2..5 fingers
     blend: radius of the smooth union with earlier segments of its group [m]
     """
 

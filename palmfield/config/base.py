@@ -32,11 +32,10 @@ JOINED, NUMBER = re.compile(r"\d_\d"), re.compile(r"number|decimals")
 class Config(BaseModel):
     """Keys of one plugin instance. The keys arrive as text from MJCF; a value that does not fit raises SceneError.
 
-    plugin: name of the plugin
-    about: one sentence that describes its keys
+    plugin: name of the plugin; about: one sentence that describes its keys
     files: names of the keys whose values are file names
-    renamed: old name -> new name, of a key (`device`: "board") or of a value of a key (`solver=full`: "wedges").
-        An old name is kept for one version, so that the error message can give the new name
+    renamed: old name -> new name, of a key (`device`: "board") or of a value of a key (`solver=full`: "wedges"). An old
+        name is kept for one version, so that the error message can give the new name
     refused: values that other programs accept but scenes do not (`solver=axisymmetric`) -> reason and advice
     """
 
@@ -56,9 +55,8 @@ class Config(BaseModel):
 class naming_keys(naming):
     """Add the scene element and the key to each palmfield error that is raised in the block.
 
-    element: name of the element in messages
+    element: name of the element in messages; setting: name of the refused key, used if the error does not name one
     config: keys of the element; the message quotes the refused value
-    setting: name of the refused key, used if the error does not name one
     """
 
     def __init__(self, element: str, config: Config | None = None, setting: str = ""):

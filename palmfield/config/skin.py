@@ -312,10 +312,7 @@ class SkinConfig(Config):
 
     @property
     def springs(self) -> tuple[float, float, float, float] | None:
-        """Stiffness [Pa/m] and damping [Pa s/m] per area of base `springs`, normal and tangential.
-
-        None for other bases.
-        """
+        """Stiffness [Pa/m] and damping [Pa s/m] per area of base `springs`, normal and tangential; else None."""
         if self.base != "springs":
             return None
         normal, tangential, normal_loss, tangential_loss = (getattr(self, key) or 0.0 for key in SPRINGS)

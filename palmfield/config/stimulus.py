@@ -54,10 +54,7 @@ PATH_KEYS = (*MOVING, *{key for keys in (*NEEDED.values(), *OPTIONAL.values()) f
 
 
 def too_far(focus_m: tuple[float, float, float]) -> str | None:
-    """Return an error text for a focus [m] that is not finite or is too far away; None for a valid focus.
-
-    The text names the unit that the user probably meant.
-    """
+    """Return an error text, with the likely unit, for a focus [m] that is not finite or too far away; else None."""
     if not all(map(math.isfinite, focus_m)):
         return "which is not a position; allowed: three finite numbers, in metres"
     distance = math.dist(focus_m, (0.0, 0.0, 0.0))

@@ -17,10 +17,7 @@ LEAST_RADIUS, DISC_m, ABOVE_m = 0.25, 2e-4, 2e-4
 
 
 class ArrayModule(Module):
-    """Stores the keys of one array and the emission of its transducers.
-
-    The first skin of the scene steps all arrays.
-    """
+    """Stores the keys of one array and the emission of its transducers. The first skin steps all arrays."""
 
     name: ClassVar[str] = ArrayConfig.plugin
     config: ClassVar[type[Config]] = ArrayConfig
@@ -38,10 +35,7 @@ class ArrayModule(Module):
         return array_room(len(model_of(spec).arrays.parts[number]))
 
     def draw(self, drawing: "Drawing") -> None:
-        """Draw a disc on each transducer.
-
-        The colour, on a cyclic scale, shows the phase; the size shows the amplitude.
-        """
+        """Draw a disc on each transducer. The colour (cyclic scale) shows the phase, the size the amplitude."""
         from palmfield.engine.scene_view import phase_colours, view_of
 
         view = view_of(self.world) if drawing.shows("geom", PHASES_GROUP) else None

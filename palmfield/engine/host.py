@@ -27,10 +27,8 @@ if TYPE_CHECKING:
 class World(DataView):
     """One mjData with the modules of its plugin instances.
 
-    scene: the palmfield scene in this mjData, made by its first skin
-    view: the picture of the scene, made when it is first drawn
-    undrawn: whether drawing the scene has failed
-    error: error that a module could not raise through C
+    scene: its palmfield scene, made by its first skin; error: error that a module could not raise through C
+    view: the picture of the scene, made when it is first drawn; undrawn: whether drawing the scene has failed
     quiet: whether the caller raises the error itself, so that MuJoCo need not print a warning
     """
 
@@ -47,8 +45,7 @@ class Module:
     """One plugin instance of one mjData. A subclass overrides the methods that it needs; the other methods do nothing.
 
     name: plugin name in the scene, e.g. `palmfield.skin`
-    config: keys of the module, a `palmfield.config.Config`
-    sensor: whether `<sensor><plugin>` may refer to the module
+    config: keys of the module, a `palmfield.config.Config`; sensor: whether `<sensor><plugin>` may refer to the module
     only_senses: whether this instance only fills sensors, while another instance computes forces and advances the state
     """
 
@@ -77,19 +74,13 @@ class Module:
         """Fill the sensors of the module (`self.world.sensors(self.instance)`)."""
 
     def advance(self) -> None:
-        """Advance the state of the module by one step.
-
-        When this is called, MuJoCo's time is already the end of the step.
-        """
+        """Advance the state by one step. MuJoCo's time is then already the end of the step."""
 
     def draw(self, drawing: "Drawing") -> None:
         """Add objects to the next picture of a viewer; this must not change the simulation."""
 
     def copy_from(self, other: Any) -> None:
-        """Copy the data of `other`, the same module in another mjData.
-
-        mj_copyData has already copied the MuJoCo state.
-        """
+        """Copy the data of the same module in another mjData. mj_copyData has already copied MuJoCo's state."""
 
 
 ADVANCES = -1
@@ -102,10 +93,8 @@ _thunks: list[Any] = []
 class _Compiling(threading.local):
     """State of the model that this thread compiles.
 
-    active: whether modules are switched off
-    error: error that the constructor of a module raised
-    sized: model and instance whose sizes MuJoCo requested last
-    sizing: model, and the first error of such a request
+    active: whether modules are switched off; error: error that the constructor of a module raised
+    sized: model and instance whose sizes MuJoCo requested last; sizing: model, and the first error of such a request
     """
 
     active = False
@@ -144,10 +133,7 @@ def compiling() -> Iterator[None]:
 
 
 def pop_compile_error() -> Exception | KeyboardInterrupt | None:
-    """Return, and remove, the last error that a module constructor raised in this thread.
-
-    MuJoCo only quotes its text.
-    """
+    """Return and remove the last error of a module constructor in this thread. MuJoCo only quotes its text."""
     error, _compiling.error, _compiling.sizing = _compiling.error, None, None
     return error
 

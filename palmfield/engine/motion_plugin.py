@@ -77,10 +77,9 @@ class MotionModule(Module):
         self.world.put(self.due(self.world.raw.time))
 
     def due(self, time_s: float, at_once: bool = False) -> list[Write]:
-        """Return the values to write at a time [s] for the mocap body and the servo targets.
+        """Return values to write at a time [s] for mocap body and servo targets, and in some cases for the hand itself.
 
-        The values include the pose of the hand itself in three cases: `at_once`, the first step of the scene, and key
-        follow = exact.
+        These cases are `at_once`, the first step of the scene, and key follow = exact.
         """
         pose = self.motion.at(time_s)
         place, turn = self._offsets
@@ -121,8 +120,7 @@ def place(data: mujoco.MjData) -> None:
     """Set every scripted hand of an mjData to the pose of its motion at the time of the data, and update all positions.
 
     `palmfield.load` calls this function. Call it yourself after `mujoco.mj_resetData`, or after you set the time.
-    Otherwise the first step is computed with the hands in MuJoCo's reference configuration. Raises the SceneError of a
-    motion.
+    Otherwise the first step has the hands in MuJoCo's reference configuration. Raises the SceneError of a motion.
     """
     world = world_of(data)
     if world is None:

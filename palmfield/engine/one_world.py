@@ -14,17 +14,13 @@ from palmfield.types import Float
 
 
 class OneWorld:
-    """One world of a scene. It has the same methods as `palmfield.engine.worlds.SceneWorlds`.
+    """One world of a scene, with the methods of `palmfield.engine.worlds.SceneWorlds`.
 
-    data: the only mjData
-    runtimes: the `SceneRuntime` objects that step it
+    data: the only mjData; runtimes: the `SceneRuntime` objects that step it
     """
 
     def __init__(self, data: mujoco.MjData, name: str):
-        """name: name of the scene
-
-        Raises SceneError for a scene without skins.
-        """
+        """Raises SceneError for a scene without skins. name: name of the scene"""
         world = world_of(data)
         if world is None or world.scene is None:
             raise SceneError(f"{name} has no plugin 'palmfield.skin', so it is a plain MuJoCo model; add the plugin")
@@ -48,10 +44,10 @@ class OneWorld:
         raise_errors(self.data[0])
 
     def several(self, most: int) -> int:
-        """Run up to `most` MuJoCo steps, and return the number of steps.
+        """Run up to `most` MuJoCo steps, and return their number.
 
-        Forces and sensors are computed only for the last step. If forces affect the motion, or sensors are read, only
-        one step is run. Raises as `step`.
+        Forces and sensors are computed only for the last one. If forces affect the motion, or sensors are read, it is
+        one step. Raises as `step`.
         """
         runtime = self.runtimes[0]
         count = most if most > 1 and runtime.may_gather else 1

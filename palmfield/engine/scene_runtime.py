@@ -156,9 +156,8 @@ class SceneRuntime:
 
     @property
     def applied_parts(self) -> list[tuple[Float, Float]]:
-        """Return the mean force and torque over the present step on the parts of each body, shapes (b, 3).
-
-        Forces are in N; torques are about the origins of the bodies in N m; both in world axes.
+        """Return mean forces on the parts of each body over the step [N], and torques about their origins [N m],
+        world axes, shapes (b, 3).
         """
         return [(force[0, 0], force[0, 1]) for force in self.steps.forces]
 
@@ -191,10 +190,7 @@ class SceneRuntime:
         return {0: self._posed}
 
     def _begin(self, t0: float, anew: bool) -> None:
-        """Begin the step at t0 [s] with the present pose and state.
-
-        A step that has begun is repeated only if `anew` is set.
-        """
+        """Begin the step at t0 [s] with the present pose and state; a begun step is repeated only if `anew`."""
         for read in self._reading:
             read()
         steps, now = self.steps, (round(t0, 12), self._positions.tobytes(), self._matrices.tobytes())
@@ -253,10 +249,7 @@ class SceneRuntime:
 
     @cached_property
     def feedback(self) -> str:
-        """Return the reason why steps are not gathered, as text; empty if they may be gathered.
-
-        The reasons are that the force of the sound moves a body, and that sensors may be read.
-        """
+        """Return why steps are not gathered: the force of the sound moves a body, or sensors may be read; else ""."""
         model = self.view.model
         if serves(self.model):
             return "a graph on a GPU computes each separately"
@@ -278,10 +271,7 @@ class SceneRuntime:
 
     @property
     def may_gather(self) -> bool:
-        """Whether steps may be gathered now.
-
-        This requires that they move no body and that no sensor or other code reads them.
-        """
+        """Whether steps may be gathered now: they move no body, and no sensor or other code reads them."""
         steps, watched = self.steps, any(one is not None for one in self.work.observe)
         return self.unseen and not (self.feedback or watched or steps.observer is not None or steps.in_graph)
 
@@ -322,10 +312,9 @@ class SceneRuntime:
             )
 
     def adopt(self, other: "SceneRuntime") -> None:
-        """Copy data for the coming steps from the runtime of a copied mjData.
+        """Copy data for the coming steps, which MuJoCo's state does not contain, from the runtime of a copied mjData.
 
-        MuJoCo's state does not contain these data. They are the points of the stimuli at the last control tick, and the
-        loads computed in advance.
+        These are the points of the stimuli at the last control tick, and the loads computed in advance.
         """
         if other.model is self.model:
             self.adopt_pose(other)
@@ -335,10 +324,7 @@ class SceneRuntime:
             self.steps.forces = [force.copy() for force in other.steps.forces]
 
     def adopt_pose(self, other: "SceneRuntime") -> None:
-        """Use the PosedScene of another runtime of the same model.
-
-        Sharing is safe because a PosedScene is immutable.
-        """
+        """Use the PosedScene of another runtime of the same model. This is safe, because it is immutable."""
         self._posed, self._numbers = other._posed, other._numbers
 
     def exchange(self, model: HapticModel) -> None:
@@ -367,29 +353,20 @@ class SceneRuntime:
         return self.model.rates[region].read(self.state.regions[region])[0]
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
-        """Return the place of a sensor on a skin; the result is cached.
-
-        Raises SceneError for a site on another body or far from the skin.
-        """
+        """Return the place of a sensor, cached. Raises SceneError for a site of another body or far from the skin."""
         place = self._places.get(sensor.name)
         if place is None:
             place = self._places[sensor.name] = sensor_place(self.model.skins[skin], *self._site(skin, sensor))
         return place
 
     def check_sensors(self) -> None:
-        """Check all sensors before the run.
-
-        Raises SceneError, as `place`, for a sensor without a valid place on its skin.
-        """
+        """Check all sensors before the run. Raises SceneError as `place` for a sensor without a valid place."""
         for skin, bound in enumerate(self.binding.skins):
             for sensor in self.view.sensors(bound.instance):
                 check_site(self.model.skins[skin], *self._site(skin, sensor))
 
     def _site(self, skin: int, sensor: PluginSensor) -> tuple[Float, str]:
-        """Return position and name of the site of a sensor, for a body at rest.
-
-        The position is in the body frame [m], shape (3,); the name is used in messages.
-        """
+        """Return the site of a sensor, body at rest (body frame [m], shape (3,)), and its name in messages."""
         bound, part = self.binding.skins[skin], self.model.skins[skin]
         element = f"{part.spec.element}: sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)

@@ -15,10 +15,7 @@ if TYPE_CHECKING:
 ARP_GROUP = 2
 """Geom group: if it is on, a viewer shows the ARP on the skins."""
 LIFT_m, LABEL_m = 6e-4, 0.02
-"""Heights above the skin, at which a viewer draws the coloured triangles and the label of the peak.
-
-The triangles must lie above the skin mesh of the viewer, whose triangles are larger.
-"""
+"""Heights above the skin of the coloured triangles, which lie above a viewer's coarser mesh, and of the label."""
 
 
 class SkinModule(Module):
@@ -29,8 +26,7 @@ class SkinModule(Module):
     displacement and velocity along the outward normal. As for all MuJoCo sensors, the reading is that at the beginning
     of the step. After mj_step it is one time step older than data.time, until mj_forward is called.
 
-    number: number of this skin in the scene
-    leads: whether this skin steps the scene; the first skin does
+    number: number of this skin in the scene; leads: whether this skin (the first) steps the scene
     scene: the `palmfield.engine.scene_runtime.SceneRuntime` that all skins share
     """
 
@@ -89,10 +85,7 @@ class SkinModule(Module):
             self.scene.sense(self.number, self._sensors)
 
     def advance(self) -> None:
-        """Advance the scene by the last MuJoCo step.
-
-        In the first step, a terminal shows the waiting time for the skins.
-        """
+        """Advance the scene by the last MuJoCo step. The first step shows the waiting time in a terminal."""
         if not (self._began or self.world.quiet):
             from palmfield.terminal import bars
 
@@ -120,10 +113,7 @@ class SkinModule(Module):
         drawing.triangles(skin.vertices + LIFT_m * skin.normals, skin.faces[order], arp_colours(shares[order]))
 
     def hand_over(self) -> None:
-        """Stop computing forces, sensors and state.
-
-        From then on, the code that steps several worlds together does this.
-        """
+        """Stop computing forces, sensors and state, because other code now steps several worlds together."""
         self.only_senses, self._sensors = True, []
 
     def copy_from(self, other: "SkinModule") -> None:

@@ -57,8 +57,7 @@ class HandPreset(BaseModel):
 
     length_m: wrist crease to the tip of the middle finger; palm_length_m: wrist crease to the base of that finger
     breadth_m: across the knuckles of index and little finger; thickness_m: palm to back at the metacarpals
-    finger_depth_ratio: depth over breadth of a finger
-    digits: thumb, index, middle, ring, little
+    finger_depth_ratio: depth over breadth of a finger; digits: thumb, index, middle, ring, little
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -15,10 +15,7 @@ from palmfield.types import Float
 
 SOLIDS = ("box", "capsule", "cylinder", "ellipsoid", "sphere")
 Geom = tuple[str, tuple[Any, ...], tuple[float, ...], tuple[float, ...]]
-"""Shape of a geom: kind, size [m] as in MJCF, position [m] and quaternion (w, x, y, z).
-
-A mesh has vertices and faces.
-"""
+"""Kind of a geom, size [m] as in MJCF (for a mesh its vertices and faces), position [m], quaternion (w, x, y, z)."""
 Kind = Literal["body", "site", "geom", "joint", "actuator"]
 Field = Literal["ctrl", "qpos", "qvel", "mocap_pos", "mocap_quat"]
 Write = tuple[Field, list[int], Float]
@@ -49,10 +46,7 @@ class ModelView:
         return float(self.raw.opt.timestep)
 
     def find(self, kind: Kind, name: str, element: str) -> int:
-        """Return the number of a named object.
-
-        Raises SceneError with `element` if the scene has no object of that name.
-        """
+        """Return the number of a named object. Raises SceneError with `element` if no object has that name."""
         number = library().mj_name2id(self.address, int(_OBJECT[kind]), name.encode())
         if number < 0:
             names = self.names(kind)
@@ -219,10 +213,7 @@ class DataView:
             self._fields[field][offsets] = values
 
     def state(self, instance: int) -> Float:
-        """Return the plugin state of an instance, shape (n,).
-
-        It is a part of mjData, so MuJoCo copies, resets and saves it.
-        """
+        """Return the plugin state of an instance, shape (n,). MuJoCo copies, resets and saves it with mjData."""
         count = int(self.model.raw.plugin_statenum[instance])
         if count == 0:
             return np.zeros(0)
@@ -247,11 +238,9 @@ class DataView:
 
 
 class PluginSensor(NamedTuple):
-    """A sensor of a plugin instance.
+    """A sensor of a plugin instance. kind: kind of the object that carries it: "site", "body" or ""
 
-    kind: kind of the object to which the sensor is attached: "site", "body" or ""
-    target: number of this object
-    data: view of the values, shape (channels,), at `offsets` in the sensor data
+    target: number of this object; data: view of the values, shape (channels,), at `offsets` in the sensor data
     """
 
     name: str

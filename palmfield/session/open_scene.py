@@ -156,11 +156,9 @@ def as_text(value: object) -> str:
 
 
 class Opened(NamedTuple):
-    """A scene that has been read but not compiled.
+    """A scene that has been read but not compiled. name: name for messages
 
-    name: name for messages
-    folder: folder to which its file names are relative
-    text: files of the scene, None for an MjSpec
+    folder: folder to which its file names are relative; text: files of the scene, None for an MjSpec
     """
 
     name: str
@@ -231,10 +229,10 @@ def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
 
 
 def _check_sensor_places(data: mujoco.MjData, name: str, text: SceneText | None) -> None:
-    """Check the sensors, and the bones if key inertia is on. name, text: name and text of the scene
+    """Check sensors, and bones if key inertia is on. name, text: of the scene.
 
-    Raises SceneError, with file and line, for a sensor that is not on its skin, and for a bone whose acceleration key
-    inertia cannot use.
+    Raises SceneError, with file and line, for a sensor that is not on its skin, and for a bone whose acceleration
+    cannot be used.
     """
     world = world_of(data)
     if world is None or world.scene is None:

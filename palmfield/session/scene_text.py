@@ -23,10 +23,7 @@ NAMES = ("name", "class", "file", "model", "prefix", "timestep")
 ASSETS = ("mesh", "hfield", "texture", "skin", "model", "flexcomp")
 """Elements whose attributes file, fileright, ... name files."""
 MOST_COPIES, MOST_ELEMENTS = 10_000, 1_000_000
-"""Limits: number of copies by <replicate>, and number of elements of a scene with its included and attached files.
-
-The copies at the limit take 7 s in MuJoCo.
-"""
+"""Limits: copies by <replicate> (7 s in MuJoCo); elements of a scene with its included and attached files."""
 SIZES = {
     "flexcomp": {"count": 100_000}, "composite": {"count": 100_000}, "user": {"dim": 100_000},
     "numeric": {"size": 10**6}, "texture": {"width": 20_000, "height": 120_000},
@@ -46,8 +43,7 @@ AMPERSAND = "\x7f"
 class Element:
     """An element in the files of a scene.
 
-    offset: number of bytes before it in its file
-    parent: enclosing element, also across included files; None for the root
+    offset: number of bytes before it in its file; parent: enclosing element, across included files; None for the root
     """
 
     tag: str
@@ -97,10 +93,7 @@ class SceneText(NamedTuple):
         return list(dict.fromkeys(one.file for one in self.elements if one.file != self.file))
 
     def at(self, file: Path, line: int, word: str) -> Element | None:
-        """Return the element in a line of a file.
-
-        Of several, return the one with `word` as its tag or in an attribute.
-        """
+        """Return the element in a line of a file; of several, that with `word` as tag or in an attribute."""
         here = [one for one in self.elements if one.file == file and one.line == line]
         with_word = [one for one in here if one.tag == word or (word and word in one.attributes.values())]
         return next(iter(with_word or here), None)
@@ -120,10 +113,7 @@ class SceneText(NamedTuple):
         return None
 
     def key(self, plugin: str, name: str, key: str) -> Element | None:
-        """Return the element that sets a key of an instance.
-
-        If no element sets it, return the element of the instance.
-        """
+        """Return the element that sets a key of an instance, or else the element of the instance."""
         instance = self.instance(plugin, name)
         own = (one for one in self.elements if one.parent is instance and one.attributes.get("key") == key)
         return next(own, instance)
@@ -249,12 +239,7 @@ def _check_finite(element: Element) -> None:
 def _read(
     path: Path, scene: Path, holder: Element | None, elements: list[Element], above: set[Path], read: set[Path]
 ) -> None:
-    """Add the elements of a file.
-
-    holder: element that includes the file
-    above: files that are being read
-    read: files that have been read
-    """
+    """Add the elements of a file. holder: its including element; above: files being read; read: files that were read"""
     for one in elements_of(path):
         if one.parent is None and one.tag not in ROOTS:
             raise SceneError(

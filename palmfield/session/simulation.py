@@ -37,11 +37,9 @@ class Simulation:
     With `worlds`, several copies of the scene are stepped together. Results then have a leading axis for the worlds:
     sim = palmfield.Simulation("scene.xml", worlds=2, keys={"stimulus.focus_m": [(0, 0, 0.19), (0, 0.01, 0.19)]})
 
-    model, data: MuJoCo model and data. You may call mj_step on them; then call `palmfield.raise_errors(data)` to raise
-        errors of plugins. With several worlds, data is a list, in which you may set controls or forces; only `step` may
-        step them
-    name: name of the scene, for messages
-    path: file of the scene, or None
+    model, data: MuJoCo model and data. After mj_step on them, call `palmfield.raise_errors(data)` to raise errors of
+        plugins. With several worlds data is a list; set controls or forces in it, but only `step` may step it
+    name: name of the scene, for messages; path: file of the scene, or None
     worlds: number of worlds, None if results have no axis for worlds
     duration_s: default duration of `palmfield.run` [s]
     """
@@ -57,9 +55,7 @@ class Simulation:
         worlds: int | None = None,
         poses: Mapping[str, ArrayLike] | None = None,
     ):
-        """Open a scene.
-
-        `palmfield.session.open_scene` describes the first arguments (`Options`) and errors (`compiled`).
+        """Open a scene. See `palmfield.session.open_scene` for arguments (`Options`) and errors (`compiled`).
 
         worlds: number of worlds, which are stepped together. A key of a stimulus may then have an additional first axis
             of this length, with one value for each world
@@ -189,10 +185,7 @@ class Simulation:
     # -- results; with a leading axis if there are `worlds` ----------------------------------------
 
     def _of(self, values: Sequence[Any] | Float) -> Any:
-        """Stack the values of the worlds in one array.
-
-        Without `worlds`, return the value without an axis for worlds.
-        """
+        """Stack the values of the worlds in one array; without `worlds`, return the value itself."""
         return np.array(values[0] if self.worlds is None else values)
 
     @property

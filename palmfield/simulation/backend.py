@@ -24,8 +24,7 @@ class Frames(NamedTuple):
     """Poses of all worlds at the beginning of a step.
 
     places, axes: origins [m] and axes of the frames in the rows of PoseLayout, (worlds, rows, 3) and (worlds, rows, 9)
-    posed: function that returns the PosedScenes of the selected worlds, shape (worlds,); only backends that need them
-        call it
+    posed: function that returns the PosedScenes of the selected worlds, (worlds,); only backends that need them call it
     """
 
     places: Float
@@ -36,14 +35,11 @@ class Frames(NamedTuple):
 class StepTrace(NamedTuple):
     """One step of one world, or of several worlds whose loads have the same form. Valid until the next step.
 
-    times: ends of the substeps [s], shape (s,)
-    worlds: numbers of the worlds, ascending, shape (g,)
-    posed: pose of each world
+    times: ends of the substeps [s], shape (s,); worlds: their numbers, ascending, shape (g,); posed: pose of each
     keys: serial numbers of pose and course, shape (g, 2), 0 for silence
     moments: times at which the load is computed [s], shape (m,)
     levels: levels of the drives at these moments, complex, shape (g, m, k), as in EmittedCourse
-    course: function that returns the whole emission of the i-th world
-    begun: function that returns the emission of the i-th world at the beginning, shape (N,)
+    course: function that returns the whole emission of the i-th world; begun: the same at the beginning, shape (N,)
     first, last: weights of the ARP patterns at the start and the end of each substep, shape (g, s, p)
     motion: for each skin and each of its steppers, the numbers of the worlds (w,) and the observed displacement [m] and
         velocity [m/s] after each substep, (w, s, 2, m). The same points are observed in all worlds
@@ -90,18 +86,12 @@ class Backend(ABC):
 
     @property
     def watched(self) -> bool:
-        """Return whether every substep is observed.
-
-        Graphs do not return single substeps, so they cannot be used then.
-        """
+        """Return whether every substep is observed. Graphs cannot do this, as they return no single substeps."""
         return self.observer is not None or any(map(is_not, self.works[0].observe, repeat(None)))
 
     @abstractmethod
     def forget(self) -> None:
-        """Drop the data of the last step.
-
-        Call this after a reset and in a copy, because other code has written the state.
-        """
+        """Drop the data of the last step. Call it after a reset and in a copy: other code has written the state."""
 
     @abstractmethod
     def fetch(self) -> None:
@@ -159,10 +149,7 @@ class Backend(ABC):
 
 
 def serves(model: HapticModel) -> bool:
-    """Return whether a graph can compute the sound.
-
-    This requires a GPU, and no echo, boundary elements or fields of kind 'accurate'.
-    """
+    """Return whether a graph can compute the sound: on a GPU, without echo, boundary elements or 'accurate' fields."""
     fast = model.arrays.precision == "fast" and model.arrays.wall_m is None
     solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
     return resolve(model.spec.device) != "cpu" and fast and not solved

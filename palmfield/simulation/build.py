@@ -55,17 +55,14 @@ if TYPE_CHECKING:
 LEAST_FREQUENCY_Hz = 200.0
 """Frequency that mesh and time step always resolve, unless key max_frequency_Hz is set."""
 BANDS_AN_OCTAVE, BEYOND = 2, 1.07
-"""Number of frequency bands per octave, and tolerance beyond the end of a band.
+"""Number of frequency bands per octave; tolerance beyond a band's end.
 
-A mesh is made for the upper end of a frequency band, so that all frequencies of the band share it. It may also be used
-up to BEYOND times this end, because the rules for element sizes are less exact than this factor.
+A mesh is made for the upper end of a band, so that all its frequencies share it. It serves up to BEYOND times this end,
+because size rules are less exact than this.
 """
 MOST_MODELS = 8
 RIM = 0.6
-"""Reduction of the region of fine elements, as a fraction of the spot width.
-
-For a focus at the rim of this region, half of the spot is still inside.
-"""
+"""Reduction of the region of fine elements, relative to the spot width: half of a spot at the rim is still inside."""
 _lock = threading.RLock()
 _models: list[HapticModel] = []
 _cached_wholes: "list[tuple[SceneLayer, Lazy[WedgeStepper]]]" = []
@@ -152,10 +149,7 @@ def make_surfaces(model: HapticModel) -> None:
 
 
 def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
-    """Return the board of a scene.
-
-    Raises SceneError for arrays that it does not drive, DeviceError for unknown keys.
-    """
+    """Return the board of a scene. Raises SceneError for arrays not of the board, DeviceError for unknown keys."""
     check_arrays(BOARDS[spec.driver.board], spec.arrays)
     calibrated = any(array.calibration is not None for array in spec.arrays)
     with naming_keys("plugin 'palmfield.driver'", spec.driver):
@@ -258,8 +252,7 @@ def stimuli_of(
 ) -> tuple[StimulusModel, ...]:
     """Return the stimuli. Ring-up is modelled for all transducers of a scene or for none, because they share one state.
 
-    carriers: the body of each skin
-    responses: responses of other worlds of the scene; new ones are added
+    carriers: the body of each skin; responses: responses of other worlds of the scene; new ones are added
     """
     responses, stimuli = {} if responses is None else responses, []
     for stimulus in spec.stimuli:
@@ -313,9 +306,8 @@ def _stimulus(
 
 
 def at_any_level(config: StimulusConfig) -> StimulusConfig:
-    """Return a key that is equal for stimuli that differ only in level.
-
-    If the duty is modulated, return the stimulus itself, because the level then changes the waveform of the ARP.
+    """Return a key that is equal for stimuli that differ only in level. For a modulated duty it is the stimulus itself,
+    because the level then changes the waveform of the ARP.
     """
     if config.am_quantity == "duty":
         return config
@@ -400,10 +392,7 @@ def layers_for(
     demands: Sequence[LayerDemand],
     carriers: Sequence[BodyModel],
 ) -> list[SceneLayer]:
-    """Return the layers of the skins. All have the shortest time step that one of them needs.
-
-    carriers: body of each skin
-    """
+    """Return the layers of the skins, all with the shortest time step that one needs. carriers: body of each skin"""
     layers = []
     for skin, body, demand in zip(spec.skins, carriers, demands, strict=True):
         layers.append(_layer(skin, body, demand))
@@ -419,10 +408,7 @@ def layers_for(
 
 
 def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
-    """Return the layer of a skin.
-
-    While a model uses it, equal keys, place and requirements on one body share one layer.
-    """
+    """Return the layer of a skin. Skins of a body with equal keys, place and requirements share it while in use."""
     key = skin.name, skin.config, skin.patch_centre, body, demand
     with _lock:
         return _cached_layers.get(key) or _cached_layers.setdefault(
@@ -462,16 +448,13 @@ def band_end(f_Hz: float) -> float:
 def fine_region(
     beside: Float, reach_m: float, region_m: float, spot_m: float
 ) -> tuple[tuple[float, float, float], float]:
-    """Return the middle and the radius of the region with fine elements [m].
+    """Return middle (from the middle of the layer) and radius of the region with fine elements [m].
 
-    The middle is relative to that of the layer.
-
-    beside: vector from the middle of the layer to the middle of the foci, shape (3,)
-    reach_m: largest distance of the foci from there
-    region_m: key focus_region_m, the smallest radius
-    spot_m: width of the spot; the radius is reduced by RIM times this width
-    If the foci leave this region about the middle of the layer, the middle of the region is the nearest point of a grid
-    with the spacing of the region. So foci that are close together share a region.
+    beside: vector from the middle of the layer to the middle of the foci, shape (3,); reach_m: largest distance of foci
+        from there
+    region_m: key focus_region_m, smallest radius; spot_m: width of the spot; RIM times it is subtracted from the radius
+    If the foci leave this region about the middle of the layer, its middle is the nearest point of a grid with the
+    spacing of the region. So foci that are close together share a region.
     """
     middle, radius_m = beside, reach_m
     if region_m:
@@ -519,10 +502,7 @@ class PathPlace(NamedTuple):
 
 
 def path_place(stimulus: StimulusModel, skin: SkinSpec, body: BodyModel) -> PathPlace:
-    """Return the place of the path (or focus) of a stimulus.
-
-    For a path on the skin, the middle is that of the layer.
-    """
+    """Return the place of the path (or focus) of a stimulus. For a path on the skin its middle is the layer's."""
     centre = np.array(skin.patch_centre)
     if stimulus.path is not None and body.surface is not None:
         places, _ = stimulus.path.at(stimulus.path.arc_m, body.surface.vertices, body.surface.faces)

@@ -15,10 +15,7 @@ T = TypeVar("T")
 
 
 class Cached:
-    """The last result under each name, with its key.
-
-    The key consists of serial numbers, or is another value that stays equal while the result is valid.
-    """
+    """The last result under each name, with a key: serial numbers, or a value that stays equal while it is valid."""
 
     def __init__(self, worlds: int = 1):
         """worlds: number of rows of results in `rows`"""
@@ -51,8 +48,7 @@ class Cached:
     ) -> Float:
         """Return the results of some worlds, shape (g, *shape). keys: pairs of serial numbers, shape (g, 2)
 
-        make: function that computes the result of a world from its number and `parts`. Worlds with equal serial numbers
-            are computed once
+        make: function that computes the result of a world from its number and `parts`, once for equal serial numbers
         """
         stored = self._rows.get(name)
         if stored is None:

@@ -46,12 +46,9 @@ NEGLIGIBLE = 1e-5
 
 
 class MeanDrives(NamedTuple):
-    """Drives and weights for a mean ARP: weights @ ARP(levels @ units).
+    """Drives and weights for a mean ARP, weights @ ARP(levels @ units). weights: shape (m,), empty in silence
 
-    weights: shape (m,), empty in silence
-    units: drives, shape (k, N)
-    levels: complex, shape (m, k)
-    serial: serial number, as in EmittedCourse
+    units: drives, shape (k, N); levels: complex, shape (m, k); serial: serial number, as in EmittedCourse
     """
 
     units: Complex
@@ -115,10 +112,9 @@ class HeldPoints(NamedTuple):
 class Emission:
     """Drives and emission of the transducers of a model.
 
-    held: points of each stimulus with a control rate at its last tick; None before its first step
-    holds: whether there is such a stimulus
-    ahead: whether steps are computed ahead while nothing moves; one matrix product then computes all their fields
-    coming: the steps computed ahead
+    held: points of each stimulus with a control rate at its last tick, None before its first step; holds: whether any
+        has
+    ahead: whether steps are computed ahead (`coming`) while nothing moves; one matrix product computes all their fields
     """
 
     ahead = False
@@ -346,9 +342,9 @@ class Emission:
 def mean_weights(moments: Moments) -> Float:
     """Return the weight of each moment in the mean over all steps, shape (m,); 0 for omitted moments.
 
-    On a linear course, five moments are as exact as all moments, by Boole's rule (Abramowitz and Stegun 25.4.14). In
-    `hover_explore` the forces differ by 0.077 % from those with eight times as many moments. With all 13 moments they
-    differ by 0.084 %.
+    On a linear course, five moments are as exact as all, by Boole's rule (Abramowitz and Stegun 25.4.14). In
+    `hover_explore` the forces differ by 0.077 % from those of eight times as many moments; with all 13 moments by 0.084
+    %.
     """
     steps = len(moments.first)
     if steps > BOOLE and steps % BOOLE == 0 and True not in moments.linear[:1] and all(moments.linear[1:]):
@@ -364,9 +360,8 @@ def of_one(unit: Complex, weight: float, serial: int) -> MeanDrives:
 
 
 def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
-    """Return the mean ARP over a course, with the smallest number of drives that span its moments.
+    """Return the mean ARP over a course, by the fewest drives that span its moments. weights: of the moments, (m,)
 
-    weights: weights of the moments, shape (m,)
     Moments are computed separately, because the lit points of each moment depend on its own energy flux.
     """
     if len(course.units) < 2:
@@ -410,10 +405,7 @@ def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
 
 
 def array_drives(model: HapticModel, arrays: PhasedArray, board: Board | None = None) -> list[ArrayDrive]:
-    """Return the drive of each stimulus for one relative pose of the arrays.
-
-    board: board, None for that of the model
-    """
+    """Return each stimulus's drive for one relative pose of the arrays. board: None for that of the model"""
     board = model.board if board is None else board
     drives = []
     for part in model.stimuli:

@@ -1,8 +1,8 @@
 """Stages of a step on the host, for all worlds that no graph steps.
 
-In some worlds the sound of a step is one number times one drive. These worlds are computed together, and the others one
-after the other. Both use the same form of drives, forces and loads. Data for later steps are stored under serial
-numbers of poses and drives.
+Worlds in which the sound of a step is one number times one drive are computed together, the others one after the other.
+Both use the same form of drives, forces and loads. Data for later steps have serial numbers of poses and drives as
+keys.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -49,10 +49,7 @@ ONE: Float = np.ones((1, 1, 1))
 Loaded = list[tuple[SkinStepper, Rows, SurfaceLoads]]
 """Steppers of a skin, with the numbers of their worlds (w,) and the loads in these worlds."""
 TOGETHER = 16
-"""Largest number of steps in one pose that are computed together.
-
-A larger number would not reduce the cost per step.
-"""
+"""Largest number of steps in one pose that are computed together. More steps would not reduce the cost per step."""
 MOST_STORED = 64
 """Largest number of cached assignments of worlds to steppers."""
 
@@ -60,10 +57,8 @@ MOST_STORED = 64
 class Sounding(NamedTuple):
     """One drive in each of some worlds, with a factor on its ARP.
 
-    worlds: numbers of the worlds, ascending, shape (g,)
-    keys: serial numbers of pose and drive, shape (g, 2)
-    factors: factors on the ARP of the drive, shape (g,)
-    unit: function that returns the drive of a world by its number, shape (N,)
+    worlds: numbers of the worlds, ascending, shape (g,); keys: serial numbers of pose and drive, shape (g, 2)
+    factors: factors on the ARP of the drive, (g,); unit: function that returns the drive of a world by number, (N,)
     """
 
     worlds: Rows
@@ -403,9 +398,7 @@ class HostBackend(Backend):
         )
 
     def _leave_class(self, group: StepTrace, skin: int, loaded: Loaded, t0: float) -> bool:
-        """Measure the part of the loads outside the class of the modes of a skin.
-
-        If it is large, the full layer takes over.
+        """Measure the part of the loads outside the class of the modes of a skin; if large, the full layer takes over.
 
         Returns whether this happened in any world.
         """
@@ -428,10 +421,7 @@ class HostBackend(Backend):
     def _outside(
         self, skin: int, stepper: SkinStepper, worlds: Rows, keys: Serials, loads: SurfaceLoads
     ) -> list[Outside]:
-        """Return the part of the loads on a skin that is outside the class of its modes.
-
-        keys: as in StepTrace, (w, 2)
-        """
+        """Return the part of the loads on a skin outside the class of its modes. keys: as in StepTrace, (w, 2)"""
         if not loads.fixed or not self._several:
             return [stepper.outside(loads)]
         squares = np.add.reduce(stepper.mixed(loads) ** 2, axis=(1, 2))
@@ -461,19 +451,15 @@ class HostBackend(Backend):
         return observed
 
     def _claim(self, skin: int, stepper: SkinStepper, worlds: Rows) -> None:
-        """Write the mark of a stepper into the states of a skin.
-
-        Raises an error for a moving state without a writer.
-        """
+        """Write a stepper's mark into the states of a skin. Raises an error for a moving state without a writer."""
         part = self.state.skins[skin]
         for world in worlds.tolist() if not self._several else worlds[part[worlds, 0] == 0.0].tolist():
             claim(self.models[world], self._states[world], skin, stepper)
 
     def _loads(self, group: StepTrace, skin: int) -> Loaded:
-        """Return the steppers of a skin with their worlds and loads.
+        """Return the steppers of a skin with their worlds and loads. Patterns stay one array while pose and drive do.
 
-        The patterns stay one array while pose and drive stay the same. If the load is one pattern, steppers may cache
-        results that they compute from it.
+        If the load is one pattern, steppers may cache results that they compute from it.
         """
         loaded = []
         for stepper, own in self.steppers(skin, group.worlds):
@@ -485,9 +471,7 @@ class HostBackend(Backend):
         return loaded
 
     def _stacked(self, group: StepTrace, skin: int, stepper: SkinStepper, at: Rows) -> Float32:
-        """Return ARP patterns in some worlds of a group [Pa], shape (w, p, n).
-
-        Equal poses and drives are computed once.
+        """Return ARP patterns in some worlds [Pa], shape (w, p, n). Equal poses and drives are computed once.
 
         at: indices of the worlds in the group
         """
@@ -505,10 +489,7 @@ class HostBackend(Backend):
         return np.stack(patterns)
 
     def _patterns(self, world: int, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
-        """Return the ARP patterns [Pa] at the points of a stepper, shape (p, n).
-
-        The `weights` of a course apply to them.
-        """
+        """Return the ARP patterns [Pa] to which the `weights` of a course apply, at a stepper's points, (p, n)."""
         work, posed = self.works[world], self._posed[world]
         path = work.path_sound
         role: Role = "quadrature" if stepper.points is None else "load"

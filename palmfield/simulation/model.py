@@ -43,9 +43,8 @@ if TYPE_CHECKING:  # imported at use: many bodies are in one piece, and most sti
 
 
 STILL = 0.05
-"""Factor that defines "still": a body or focus that moves less than this factor times accuracy times spot width.
-
-The error of the load is then below a tenth of the accuracy (displacement over standard deviation, over sqrt 2).
+"""Factor of "still": a body or focus moves less than it times accuracy times spot width. The error of the load is then
+below a tenth of the accuracy (displacement over standard deviation, over sqrt 2).
 """
 
 
@@ -53,13 +52,11 @@ The error of the load is then below a tenth of the accuracy (displacement over s
 class StimulusModel:
     """One stimulus with the transducers that it drives.
 
-    config: its keys, with the length of a path through sites
-    transducers: numbers of the driven transducers, shape (k,)
-    path: path on the skin; None in space
-    offsets: offsets of simultaneous foci [m], shape (m, 3), or (0, 3)
-    response: ring-up and flight time of its transducers
+    config: its keys, with the length of a path through sites; transducers: numbers of the driven transducers, shape
+        (k,)
+    path: path on the skin, None in space; offsets: offsets of simultaneous foci [m], shape (m, 3), or (0, 3)
+    response: ring-up and flight time of its transducers; silent: whether it never sounds
     reference_foci: the first foci in the reference pose, array frame [m], shape (3,) or (m, 3)
-    silent: whether it never sounds
     """
 
     spec: StimulusSpec
@@ -81,9 +78,8 @@ class StimulusModel:
 class BodyModel:
     """A body that carries skin: its surface, and the bones that move it, in the frame of the body.
 
-    name: name of the MuJoCo body
+    name: name of the MuJoCo body; hand: the surface with its bones; None for a body in one piece
     surface: the whole closed surface; None for a disc, whose lit face is the skin
-    hand: the surface with its bones; None for a body in one piece
     depth_to_bone_m: depth at each vertex of the surface, shape (v,), or one depth for all
     """
 
@@ -136,10 +132,7 @@ class BodyModel:
 
     @locked_cached_property
     def sampled(self) -> "SkinnedSurface":
-        """Return the triangles of the samples with their bones.
-
-        If each face of the hand is a sample, return the hand itself.
-        """
+        """Return the triangles of the samples with their bones, or the hand itself if each face is a sample."""
         assert self.hand is not None
         mesh = self.sample_mesh
         if mesh.corners is self.hand.surface.faces:
@@ -159,10 +152,7 @@ class BodyModel:
 
     @locked_cached_property
     def rest_samples(self) -> tuple[Float, Float, Float]:
-        """Return points [m] and outward normals of the samples, shapes (n, 3), and areas [m^2], (n,).
-
-        This is for a body in one piece.
-        """
+        """Return points [m], outward normals, shapes (n, 3), and areas [m^2], (n,), for a body in one piece."""
         return face_samples(self.sample_mesh.points, self.sample_mesh.corners)
 
     def posed_samples(self, vertices: Float, frame: Transform) -> tuple[Float, Float, Float]:
@@ -182,8 +172,7 @@ class BodyModel:
     def boxes(self) -> Float:
         """Return the corners of a box around the part of the resting surface on each bone, (b, 8, 3) [m].
 
-        The corners are relative to the origin of the bone. For a body in one piece, the box is around its whole
-        surface.
+        They are relative to the origin of the bone. For a body in one piece, the box is around its whole surface.
         """
         assert self.surface is not None
         if self.hand is None:
@@ -208,13 +197,10 @@ class BodyModel:
 class SkinModel:
     """One skin layer on its body.
 
-    body: number of the body that carries it
-    carrier: that body
-    layer: mesh and matrices
-    choice: choice of its stepper
-    still_m: largest movement that counts as still [m]
-    settles: whether a body that is still is put at its reference pose; by default this is so if a reduced model steps
-        the layer
+    body: number of the body that carries it; carrier: that body; layer: mesh and matrices; choice: choice of its
+        stepper
+    still_m: largest movement that counts as still [m]; settles: whether a body that is still is put at its reference
+        pose (by default if a reduced model steps the layer)
     """
 
     def __init__(
@@ -310,10 +296,7 @@ class SkinModel:
 
     @locked_cached_property
     def recorded(self) -> sparse.csr_matrix:
-        """Return the operator from unknowns to the quantities that a run records.
-
-        These are `surface_vectors`, and then the motion at the afferents.
-        """
+        """Return the operator to what a run records: `surface_vectors`, then the motion at the afferents."""
         units = self.innervation
         return self.surface_vectors if units is None else sparse.vstack([self.surface_vectors, units.operator], "csr")
 
@@ -346,10 +329,8 @@ class SkinModel:
 class HapticModel:
     """All data of a scene that are constant in a run.
 
-    arrays: arrays in their relative pose in the reference configuration
-    board: board that plays the drive
-    begin: first stepper of each skin
-    whole: stepper of the full layer of each skin
+    arrays: arrays in their relative pose in the reference configuration; board: board that plays the drive
+    begin: first stepper of each skin; whole: stepper of the full layer of each skin
     marks: numbers that identify states, see `palmfield.simulation.state`; filled at the first use
     """
 
@@ -385,10 +366,7 @@ class HapticModel:
 
     @cached_property
     def substeps(self) -> int:
-        """Return the number of substeps in one MuJoCo step.
-
-        It is the same for all skins, so that results have one time axis.
-        """
+        """Return the number of substeps in a MuJoCo step. All skins share it, so results have one time axis."""
         return round(self.spec.timestep_s / self.step_s)
 
     @cached_property
@@ -411,8 +389,7 @@ class HapticModel:
     def still_m(self) -> tuple[float, ...]:
         """Return, for each body, the largest movement that counts as still for all of its skins [m].
 
-        It is the minimum over its skins. It is 0 for a body without a reduced model, because other steppers gain
-        nothing from it.
+        It is the minimum over its skins; 0 for a body without a reduced model, because other steppers gain nothing.
         """
         carried = [[self.skins[number] for number in self.carried(body)] for body in range(len(self.bodies))]
         return tuple(

@@ -31,10 +31,7 @@ class PoseLayout:
     """Order of the rows in the list of all world frames on which the sound and the skins of a scene depend.
 
     The rows are the arrays, the frames of the stimuli, the transducers that are sites, each body with its bones, and
-    the obstacles of each skin.
-    transducers: one slice per array
-    bodies: rows of each body and its bones
-    obstacles: rows of the obstacles, by skin
+    the obstacles of each skin. transducers: one slice per array; bodies: row and bones of each; obstacles: rows by skin
     movable: whether transducers may move relative to each other: several arrays, or transducers that are sites
     """
 
@@ -59,13 +56,10 @@ class PoseLayout:
 class PosedSurface:
     """One body in one pose. Data are computed at the first use.
 
-    model: the body at rest
-    skin: the first skin on it
-    frame: frame of the body relative to that of the first array
+    model: the body at rest; skin: the first skin on it; frame: frame of the body relative to that of the first array
     bone_positions, bone_rotations: poses of the bones in the frame of the body, shapes (b, 3) and (b, 3, 3); empty for
         a body in one piece
-    serial: unique number
-    numbers: numbers of the pose, as bytes; a stored field may be used again only if they are equal
+    serial: unique number; numbers: the pose as bytes; a stored field may be used again only if they are equal
     """
 
     def __init__(self, model: BodyModel, skin: SkinModel, frame: Transform, bones: tuple[Float, Float]):
@@ -185,12 +179,10 @@ class PosedSkin:
 class PosedScene:
     """Arrays, frames of the stimuli, bodies and skins in one pose.
 
-    array_frame: frame of the first array in the world
-    arrays: all arrays in their relative pose
-    frames: frame of each stimulus relative to that of the first array
+    array_frame: frame of the first array in the world; arrays: all arrays in their relative pose
+    frames: frame of each stimulus relative to that of the first array; serial: unique number
     sources: numbers from which `arrays` was made, if arrays or transducers may move
-    serial: unique number
-    sound_keys: key of each skin. It is equal for poses in which a drive gives the same sound on the skin
+    sound_keys: key of each skin, which is equal for poses in which a drive gives the same sound on the skin
     """
 
     def __init__(
@@ -255,11 +247,9 @@ def posed_scene(
     """Return the scene in a pose.
 
     world_positions [m], shape (m, 3), world_rotations, shape (m, 3, 3): poses in the rows of the layout
-    previous: the last pose, or the reference. Parts that have not moved are used again; if no part has moved, it is
-        returned
+    previous: the last pose, or the reference. Unmoved parts are used again; if no part has moved, it is returned
     reference: result of `reference_scene`, the pose of reduced models. A body and the obstacles of its skins are put in
-        this pose if they are within STILL of it (for the strictest of its skins) and the arrays are in the reference
-        pose
+        this pose if they are within STILL of it (for its strictest skin) and the arrays are in it
     """
     origin, turn = world_positions[0].copy(), world_rotations[0].copy()
     positions, rotations = (world_positions - origin) @ turn, turn.T @ world_rotations
@@ -321,8 +311,8 @@ def settled_worlds(
 ) -> NDArray[np.bool_]:
     """Return the worlds in which `posed_scene` puts all bodies at the reference pose, shape (w,).
 
-    The arguments are those of `posed_scene`, with a leading axis for worlds. If bones or obstacles would have to be
-    checked, all values are False.
+    The arguments are those of `posed_scene`, with an axis for worlds. If bones or obstacles need a check, all are
+    False.
     """
     worlds = len(world_positions)
     for number, skin in enumerate(model.skins):
@@ -341,10 +331,7 @@ def settled_worlds(
 
 
 def _settled(body: PosedSurface, reference: PosedSurface, corners: Float, still_m: float) -> bool:
-    """Return whether a body counts as in the reference pose.
-
-    Boxes around its skins are compared; with bones its surface.
-    """
+    """Return whether a body counts as in the reference pose, by boxes around its skins, or with bones its surface."""
     if body.model.hand is None:
         now, then = body.frame.points(corners), reference.frame.points(corners)
     else:

@@ -22,15 +22,11 @@ ALWAYS = np.ones(1, dtype=bool)
 class Radiation:
     """Computes ARP at the points of the skins of a model.
 
-    cached: results that a copy of the state uses again
-    chosen: for each skin, its points for the role "load"
+    cached: results that a copy of the state uses again; chosen: for each skin, its points for the role "load"
     """
 
     def __init__(self, model: HapticModel, beside: "Radiation | None" = None):
-        """beside: Radiation of another world with the same thread.
-
-        Both share buffers and search trees, but not results
-        """
+        """beside: Radiation of another world with the same thread; buffers and search trees are shared, results not"""
         self.model, self.cached = model, Cached()
         # Buffers and trees, moved in place; and all points ever chosen, stored so that ids of arrays stay unique
         self._shared: Cached = Cached() if beside is None else beside._shared
@@ -85,10 +81,7 @@ class Radiation:
         return np.asarray(computed[np.add.accumulate(first, dtype=np.intp) - 1])
 
     def _places(self, posed: PosedScene, skin: int, role: Role) -> Key:
-        """Return a key for the points of a skin in a role.
-
-        The key is equal while these points and all bodies in the path of the sound do not move.
-        """
+        """Return a key, equal while the points of a skin for a role and all bodies in the sound's path do not move."""
         return posed.sound_keys[skin] if role != "load" else (*posed.sound_keys[skin], self.chosen[skin].serial)
 
     def many(

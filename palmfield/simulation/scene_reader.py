@@ -70,7 +70,7 @@ class SkinBodies:
 
 @dataclass(frozen=True)
 class SceneBinding:
-    """MuJoCo numbers of the objects that a SceneSpec names, in the same order.
+    """MuJoCo numbers of the objects that a SceneSpec names, in the same order. array_instances: plugin instances
 
     array_instances, region_instances: plugin instances. array_sites: the frame of each array.
     transducer_sites: transducer sites of each array, empty except for layout `sites`. frame_sites: the frame of each

@@ -23,8 +23,7 @@ class SkinReading(NamedTuple):
     """Readings at the place of a sensor at the beginning of a MuJoCo step.
 
     arp_force_x_N, _y_N, _z_N: force of the sound on the whole body, mean over the step that begins, world axes
-    normal_displacement_m, normal_velocity_m_s: displacement and velocity of the skin along its outward normal
-    arp_Pa: ARP, positive inwards
+    normal_displacement_m, normal_velocity_m_s: of the skin along its outward normal; arp_Pa: ARP, positive inwards
     """
 
     arp_force_x_N: float
@@ -81,10 +80,7 @@ def check_site(skin: SkinModel, site: Float, element: str) -> None:
 
 
 def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
-    """Return the sensor place for a site of the resting body (body frame [m], (3,)).
-
-    Raises SceneError as `check_site`.
-    """
+    """Return the sensor place for a site, body frame at rest [m], (3,). Raises SceneError as `check_site`."""
     check_site(skin, site, element)
     probe = skin.layer.probe(site)
     return SensorPlace(probe, skin.carrier.bind(probe.closest))
@@ -93,9 +89,7 @@ def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
 def skin_reading(force: Float, motion: Float, arp: Float) -> SkinReading:
     """Make the reading at the place of a sensor, for one world or several. Only this function fills the fields.
 
-    force: force on the body [N], shape (3,)
-    motion: displacement [m] and velocity [m/s], shape (2,)
-    arp: ARP [Pa]
+    force: force on the body [N], shape (3,); motion: displacement [m] and velocity [m/s], shape (2,); arp: ARP [Pa]
     """
     return SkinReading._make((*force, *motion, arp))
 
@@ -103,8 +97,7 @@ def skin_reading(force: Float, motion: Float, arp: Float) -> SkinReading:
 def channels(forces: Float, motions: Float, arps: Float) -> Float:
     """Return sensor data in some worlds, shape (g, channels). Arguments as in `skin_reading`, with a leading axis.
 
-    The fields of a reading are computed for all worlds together. Any other channel is computed for each world
-    separately.
+    Fields of a reading are computed for all worlds together, and any other channel for each world separately.
     """
     together = skin_reading(forces.T, motions.T, arps)
     rows = []

@@ -29,9 +29,8 @@ Key = tuple[int | bytes, ...]
 SkinPoints = tuple[PosedScene, int, Role, Float, Float, Int | None, SurfaceArp]
 """Points at which the sound is computed.
 
-The fields are: the pose; the number of the skin (for body points, of a skin on the body); the role; places [m] and
-outward normals, array frame, shapes (n, 3); their numbers if they are some of the points of the role, shape (n,), else
-None; and the free-field evaluator.
+Pose; number of the skin (for body points, of a skin on it); role; points [m] and outward normals, array frame, (n, 3);
+their numbers if they are only some points of the role, (n,), else None; evaluator of the free field.
 """
 
 
@@ -59,8 +58,7 @@ def visible_samples(body: PosedSurface, arrays: PhasedArray) -> VisibleSamples:
 class FreeSound:
     """Free-field sound on a skin. Subclasses add shadows and scattering by bodies.
 
-    bends: whether a part of the sound passes around bodies
-    one_by_one: whether each drive must be computed separately
+    bends: whether some sound passes around bodies; one_by_one: whether each drive must be computed separately
     samples: returns the points for the force on a body: those that the arrays can see
     """
 
@@ -68,10 +66,7 @@ class FreeSound:
     samples = staticmethod(visible_samples)
 
     def shades(self, at: SkinPoints) -> Shades | None:
-        """Return the fraction of the sound of each transducer that passes bodies. None without obstacles.
-
-        Use it only if `bends` is set.
-        """
+        """Return the fraction of each transducer's sound that passes bodies, if `bends`; None without obstacles."""
         return None
 
     def sound(self, at: SkinPoints, drive: Complex) -> SurfaceSound:
@@ -82,10 +77,7 @@ class FreeSound:
 
 
 class Solution(NamedTuple):
-    """Sound of a drive, shape (N,), on a rigid body in a pose.
-
-    at: function that returns it at points, body frame [m]
-    """
+    """Sound of a drive, shape (N,), on a rigid body in a pose. at: function of points, body frame [m]"""
 
     posed: PosedScene
     drive: Complex
@@ -98,11 +90,9 @@ class Solution(NamedTuple):
 
 
 class ChosenPoints:
-    """Some of the quadrature points of a skin.
+    """Some of the quadrature points of a skin. numbers: numbers of the points, shape (p,)
 
-    numbers: numbers of the points, shape (p,)
-    serial: unique number
-    rest: the arguments of `PosedSurface.moved`
+    serial: unique number; rest: the arguments of `PosedSurface.moved`
     """
 
     def __init__(self, skin: SkinModel, numbers: Int):

@@ -23,10 +23,8 @@ from palmfield.types import Complex, Float
 AHEAD = 16
 """Number of steps for which the commanded drive is computed together."""
 SHARED_FROM = 32
-"""Number of worlds with different levels from which they share one field.
-
-The float32 rounding of a shared field changes the ARP by about 1e-6; the error of the field is 2e-5. With fewer worlds,
-the results are exactly those of a single world.
+"""Number of worlds with different levels from which they share one field. Its float32 rounding changes the ARP by about
+1e-6; the error of the field is 2e-5. With fewer worlds, the results are exactly those of a single world.
 """
 ALIKE, LEAST = 1e-14, 1e-300
 """Rounding error of a drive relative to its largest amplitude, and the smallest power that counts as sound."""
@@ -36,8 +34,7 @@ class SmoothSound:
     """Levels of the unit drives of the worlds. It belongs to one state.
 
     joined: numbers of the worlds whose sound has one level in the present step, ascending, shape (g,)
-    serials: serial numbers of the unit drives of all worlds, shape (worlds,)
-    now: their present emitted levels, complex, shape (worlds,)
+    serials: serial numbers of the unit drives of all worlds; now: their present emitted levels, complex, (worlds,) each
     """
 
     def __init__(
@@ -48,9 +45,7 @@ class SmoothSound:
         able: Sequence[bool],
         alone: bool,
     ):
-        """able: worlds that may ever join
-        alone: whether no other code writes the state, so that levels may be kept from step to step
-        """
+        """able: worlds that may ever join; alone: whether no other code writes the state, so that levels may be kept"""
         self.models, self.emissions, self.state, self._alone = models, emissions, state, alone
         self._may_join: Bool = np.array([can and _may_join(model) for can, model in zip(able, models, strict=True)])
         self._ringing: Bool = self._may_join & [model.response_on for model in models]
@@ -183,10 +178,7 @@ class SmoothSound:
         return np.asarray(np.add.reduce(factors * self._shares, axis=1)[self.joined])
 
     def over(self, moments: Moments) -> tuple[Complex, Complex]:
-        """Return the levels of the unit drives of the joined worlds.
-
-        They are given at the moments of the step, (g, m), and at its end, (g,).
-        """
+        """Return levels of the unit drives of joined worlds at the moments of the step, (g, m), and its end, (g,)."""
         levels, end = self._over(moments, self._commanded[:, len(self._means.times) : -1])
         return levels[self.joined], end[self.joined]
 

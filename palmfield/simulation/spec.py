@@ -57,13 +57,12 @@ class ArraySpec(Named):
 class StimulusSpec(Named):
     """One stimulus.
 
-    arrays: numbers of the arrays that it drives, ascending
-    frame: frame of its focus and path, relative to that of the first array
+    arrays: numbers of the arrays that it drives, ascending; frame: frame of its focus and path relative to the first
+        array
     on_skin: number of the skin on which its path runs; None for a path in space
     path_sites: sites along the path, in the frame of the body of that skin [m]
     frame_moves: whether that frame, or the skin under the path, can move relative to the arrays
-    am_table: waveform in the file of key am_file; None without a file
-    focus_table: foci over time in the file of key path_file
+    am_table: waveform in the file of key am_file, or None; focus_table: foci over time in the file of key path_file
     """
 
     name: str
@@ -79,10 +78,7 @@ class StimulusSpec(Named):
 
 @dataclass(frozen=True)
 class ObstacleSpec:
-    """An obstacle of a skin, other than its own body.
-
-    placement: pose of the body of the obstacle, relative to the body of the skin
-    """
+    """An obstacle of a skin, other than its own body. placement: pose of its body relative to the body of the skin"""
 
     shape: "Obstacle"
     placement: Placement
@@ -92,8 +88,7 @@ class ObstacleSpec:
 class SkinSpec(Named):
     """One skin layer and the body that carries it.
 
-    body: pose of the body relative to the first array
-    patch_centre: middle of the layer in the frame of the body [m]
+    body: pose of the body relative to the first array; patch_centre: middle of the layer in the frame of the body [m]
     moves: whether a script moves a body in the scene, so that this body may move too
     """
 
@@ -127,9 +122,8 @@ class RegionSpec(Named):
 class SceneSpec:
     """The whole scene. Equal specs share a model.
 
-    device: device that computes fields, "cpu" or "cuda:N"
-    timestep_s: time step of MuJoCo [s]
-    duration_s: duration of a run [s]
+    device: device that computes fields, "cpu" or "cuda:N"; timestep_s: time step of MuJoCo [s]; duration_s: of a run
+        [s]
     """
 
     arrays: tuple[ArraySpec, ...]

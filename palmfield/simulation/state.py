@@ -20,10 +20,7 @@ from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
 HEADER = 4
-"""Length of the header: the writer (0 none, BEGUN, WHOLE), a fingerprint, and two more numbers.
-
-The first array stores LEVEL in the last two.
-"""
+"""Length of the header: writer (0 none, BEGUN, WHOLE), fingerprint, two more numbers (LEVEL in the first array)."""
 LEVEL = slice(2, 4)
 """Position of a complex number: the emitted level of the unit drive, if a step of `SmoothSound` wrote the state."""
 BEGUN, WHOLE = 1.0, 2.0
@@ -36,8 +33,8 @@ class HapticState:
     each skin header and numbers, shape (w, HEADER + room); regions: for each region of afferents that sensors read,
     shape (w, size). float64; w: worlds, 1 in a plain mj_step
 
-    arrays: for each array, header and emission of its transducers, shape (w, HEADER + 2 n)
-    skins: for each skin, header and numbers, shape (w, HEADER + room)
+    arrays: for each array header and emission, (w, HEADER + 2 n); skins: for each header and numbers, (w, HEADER +
+        room)
     emitted: complex amplitude that each transducer emits, by array, shape (w, n), views
     """
 

@@ -24,8 +24,8 @@ from palmfield.types import Complex, Float
 PARTS, LEAST_WORLDS = 2, 128
 """Largest number of graphs that share the worlds, and number of worlds for each additional graph.
 
-Measured with 1,024 worlds on an H100 and 16 cores, with 1, 2, 3 and 4 graphs: hover_explore takes 25, 19, 17.5 and 17
-us per world, follow_fingertip 21, 15, 18 and 18.
+Measured with 1,024 worlds on an H100 and 16 cores, for 1, 2, 3 and 4 graphs: hover_explore 25, 19, 17.5 and 17 us per
+world, follow_fingertip 21, 15, 18 and 18 us.
 """
 
 
@@ -58,8 +58,7 @@ def backends_of(
 class Steps:
     """The steps of the worlds of a state, one after the other. It belongs to one state and to one thread at a time.
 
-    models, works: one for each world
-    state: state of all worlds
+    models, works: one for each world; state: state of all worlds
     host: backend that steps the worlds that no other backend steps
     forces: for each body the mean force on its parts over the present step [N], and the torque about their origins [N
         m], world axes, shape (worlds, 2, b, 3)
@@ -102,8 +101,7 @@ class Steps:
     def together(self) -> int:
         """Return the largest number of steps in one pose that `over` can compute together.
 
-        It is 1 if foci stay fixed between control ticks. It is also 1 if skins use modes, because their load is
-        measured in every step.
+        It is 1 if foci stay fixed between control ticks, or if skins use modes: their load is measured in every step.
         """
         model = self.models[0]
         free = not self.works[0].emission.holds and not any(one.value.of_class for one in model.begin)
@@ -134,10 +132,7 @@ class Steps:
                 backend.leave_out(world)
 
     def watch(self, skin: int, place: SensorPlace) -> None:
-        """Compute the readings of a sensor at this place at the beginning of each step.
-
-        Call it before the first step.
-        """
+        """From the first step on, compute the readings of a sensor at this place at the start of each step."""
         for backend in self.backends:
             backend.watch(skin, place)
 
@@ -179,10 +174,7 @@ class Steps:
         return len(backend.joined) == len(self._free[backend.own])
 
     def rest(self, frames: Frames, t0: float) -> None:
-        """Compute on the host the forces in the worlds that no other backend steps.
-
-        This is the last part of `begin`.
-        """
+        """Compute on the host the forces in all other worlds. This is the last part of `begin`."""
         host = self.host
         if not np.logical_or.reduce(self._free):
             host.joined, host.stepped = host.joined[:0], []
@@ -214,10 +206,7 @@ class Steps:
                     backend.step_skins(t0, t1, skins)
 
     def over(self, posed: PosedScene, t0: float, steps: int, skins: bool = True) -> None:
-        """Step the only world several times from t0 [s] on, in one pose.
-
-        Forces and sensors are not computed between the steps.
-        """
+        """Step the only world several times from t0 [s] on, in one pose, without forces and sensors in between."""
         self.host.hold(posed, t0)
         with one_blas_thread:
             self.host.step_skins(t0, t0 + steps * self.models[0].spec.timestep_s, skins)

@@ -25,10 +25,7 @@ from palmfield.types import Float
 MOST_UNKNOWNS = 2_000_000
 """Largest number of unknowns of a layer. With more, the factors of its matrix take more than 100 GB."""
 FACTOR_BYTES = 180.0
-"""Size of the factors of a layer with n unknowns, divided by n^1.4 [bytes].
-
-It includes two factors of SuperLU and the blocks, and was fitted for n from 1.5 k to 13 k.
-"""
+"""Size of the factors of a layer with n unknowns over n^1.4: two by SuperLU and the blocks; for n of 1.5 k to 13 k."""
 MOST_SUBSTEPS = 10_000
 """Largest number of substeps of a skin in one MuJoCo step."""
 LEAST_APART_M = 1e-3

@@ -82,10 +82,7 @@ class Workspace:
         self.emission.ahead = self._may_look_ahead and not on_path
 
     def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
-        """Return the operator from states of this stepper to the observed values.
-
-        The stepper may change in any step.
-        """
+        """Return the operator from states of this stepper to observed values. The stepper may change in any step."""
         operator = self.observe[skin]
         if operator is None:
             return None
@@ -96,9 +93,8 @@ class Workspace:
         return cached[1] if cached[2] is None or not self.in_coordinates else cached[2][0]
 
     def coordinates(self, skin: int, stepper: SkinStepper) -> Float | None:
-        """Return the matrix (r, m) from the r coordinates that steps of this stepper return to the observed values.
-
-        Returns None if steps return the values themselves.
+        """Return the matrix (r, m) from the r coordinates that steps of this stepper return to observed values; None if
+        steps return the values themselves.
         """
         cached = self._readers[skin, stepper][2] if self.in_coordinates else None
         return None if cached is None else cached[1]

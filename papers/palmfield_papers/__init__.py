@@ -1,1 +1,3 @@
-"""Compute the claims of four papers, and compare them within tolerances fixed beforehand (docs/gallery)."""
+"""Compute the claims of four papers, and compare them with the papers. The tolerances were fixed beforehand
+(docs/gallery).
+"""

@@ -1,4 +1,4 @@
-"""Types for the modules of papers: an answer for each number, under readings and controls."""
+"""Types for the modules of papers: an answer for each number, under each reading and each negative control."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -9,11 +9,13 @@ from matplotlib.figure import Figure
 
 @dataclass(frozen=True)
 class Setting:
-    """Conditions under which a number is computed. Hashable, so that results that numbers share can be cached.
+    """Conditions under which a number is computed. Hashable, so that numbers can share cached results.
 
-    readings: pairs of axis and value, of all axes on which the number depends ([reading_axes] of tolerances.toml)
+    readings: pairs of axis and value, for all axes on which the number depends ([reading_axes] of tolerances.toml). A
+        reading is one interpretation of the text of the paper
     control: name of a negative control, which changes one thing deliberately; empty for none
-    quick: coarser, for an answer in minutes; device: Warp device of kernels
+    quick: whether to compute coarser, for an answer in minutes
+    device: Warp device of kernels
     """
 
     readings: tuple[tuple[str, str], ...] = ()
@@ -33,10 +35,10 @@ class Answer:
     value: the number to compare; None if there is none, with the reason in `note`
     error: numerical error of the value in its unit, from a finer run or an exact solution; 0 for closed forms
     band: least and largest value within the ranges of p0 and material, None if it depends on neither
-    margin: of an inequality, distance from its limit, positive if it holds; None for numbers
-    shown: other numbers by description, which are printed but not counted
+    margin: for an inequality, the distance from its limit, positive if it is satisfied; None for numbers
+    shown: other numbers by description, which are printed but have no verdict
     other_estimate: the same quantity by another estimator that the text of the paper equally allows; None for none
-    against: value of the paper under this reading if it prints two values; else that of the entry
+    against: value of the paper under this reading, if the paper prints two values; otherwise that of the entry
     """
 
     value: float | None
@@ -61,7 +63,7 @@ Compute = Callable[[Setting], Answer]
 
 @dataclass(frozen=True)
 class Cause:
-    """A possible reason for a disagreement: description of a change, and the answer with it."""
+    """A possible reason for a disagreement: the description of a change, and the answer with this change."""
 
     what: str
     compute: Compute
@@ -69,7 +71,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of a paper from our data. name: of its file, without suffix; draw: called with the base readings."""
+    """A figure of a paper from our data. name: of its file, without suffix; draw: function of the base readings"""
 
     name: str
     caption: str
@@ -81,9 +83,10 @@ class Paper:
     """Contents of the gallery for one paper.
 
     name: as on the command line; paper: as in the entries of tolerances.toml; about: two or three sentences
-    answers: by id of the entry; causes: of claims that disagree, by id
-    later: of claims that agree and that no listed control turns, by id: the failure that the entry names, tested
-        deliberately. These were written when answers were known, and are separate from the controls
+    answers: answers by id of the entry
+    causes: possible reasons by id, for claims that disagree
+    later: tests by id, for claims that agree and whose verdict no listed control changes. Each test makes the failure
+        that the entry names. They were written when answers were known, and are separate from the controls
     found_later: readings that were found from the answers, by id of the claims that they concern; verdicts ignore them
     notes: Markdown below the tables (hypotheses, chains, printed and corrected values)
     """

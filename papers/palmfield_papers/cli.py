@@ -42,7 +42,7 @@ def papers(
         bool, typer.Option("--json", help="print only JSON, with units in the names, for other programs")
     ] = False,
 ) -> None:
-    """Reproduce four papers, and print each number next to the published one, with tolerances fixed beforehand.
+    """Reproduce four papers. Print each number next to the published one, with tolerances that were fixed beforehand.
 
     Writes a page, figures and rows.json for each paper, and an index.html. The exit code is 4 if a number failed.
 
@@ -94,7 +94,10 @@ def _papers(names: Sequence[str], *, quick: bool, out: Path, device: str, jobs: 
 
 
 def _numbers(ids: Sequence[str], *, quick: bool, device: str, as_json: bool) -> int:
-    """Compute single numbers, print each under its readings and controls, and return the exit code as in `_papers`."""
+    """Compute single numbers, and print each under its readings and controls.
+
+    Return the exit code as `_papers` does.
+    """
     from palmfield.cli.as_json import print_json
     from palmfield_papers.page import row_text
     from palmfield_papers.run import numbers

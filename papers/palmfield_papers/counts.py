@@ -1,4 +1,4 @@
-"""Count the verdicts of a paper, and find which controls were noticed."""
+"""Count the verdicts of a paper, and find which negative controls changed a verdict."""
 
 import math
 from collections import Counter
@@ -10,7 +10,7 @@ from palmfield_papers.rows import Row
 from palmfield_papers.verdicts import VERDICTS, sure, verdict
 
 SHARE = 3
-"""One in this number of the claims that a control lists beforehand must change."""
+"""Divisor: at least one in this number of the claims that a control lists beforehand must change."""
 
 
 WEIGHTLESS = {
@@ -30,13 +30,19 @@ WEIGHTLESS = {
     "H17a": "delays rounded to 1/50 of a period move a focus by far less than 1 mm",
     "H22a": "both sides differ by 34 dB",
 }
-"""Agreements that no answer of a run could have changed, with the reason. They were found after the first runs, from
-the derivation of each number; verdicts are unchanged, and these are counted separately."""
+"""Ids of agreements that no answer of a run could have changed, with the reason.
+
+They were found after the first runs, from the derivation of each number. Verdicts are unchanged; these agreements are
+counted separately.
+"""
 
 
 @dataclass(frozen=True)
 class Noticed:
-    """A control: ids of listed claims that it changed, did not change, and without an answer; wanted: least changes."""
+    """A control, with the ids of the listed claims that it changed, that it did not change, and that have no answer.
+
+    wanted: smallest required number of changed claims
+    """
 
     control: Control
     turned: tuple[str, ...]
@@ -56,7 +62,7 @@ def counts(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def weightless(rows: Sequence[Row]) -> list[str]:
-    """Return claims that agree and that nothing could have changed."""
+    """Return the claims that agree and that no answer could have changed."""
     return [row.entry.id for row in rows if row.verdict == "agrees" and row.entry.id in WEIGHTLESS]
 
 
@@ -96,7 +102,7 @@ def _hangs_on(row: Row, number: int) -> bool:
 
 
 def turned_later(rows: Sequence[Row]) -> list[str]:
-    """Return claims of `untested` that change in a test written when answers were known."""
+    """Return the claims of `untested` that change in a test that was written when answers were known."""
     by_id = {row.entry.id: row for row in rows}
     return [name for name in untested(rows) if any(by_id[name].differs(one) for _, one in by_id[name].later)]
 

@@ -13,7 +13,7 @@ KINDS = ("INPUT", "CLAIM", "ERRATUM", "CALC")
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How close an answer must be. kind: "none", "relative", "factor", "absolute_degrees", "dB" or "inequality"."""
+    """How close an answer must be. kind: "none", "relative", "factor", "absolute_degrees", "dB" or "inequality" """
 
     rule: str
     kind: str
@@ -24,7 +24,8 @@ class Tolerance:
 class Entry:
     """One number of one row of a paper.
 
-    value: as printed, a number, a range, or words; corrected: corrected value if the paper contradicts itself
+    value: printed value, a number, a range, or words
+    corrected: corrected value if the paper contradicts itself
     condition: condition of an inequality; readings: names of axes; sensitive_to: names of controls
     """
 
@@ -49,13 +50,13 @@ class Entry:
 
     @property
     def counts(self) -> bool:
-        """Return whether its verdict is one of agrees, disagrees and depends."""
+        """Return whether the entry has one of the verdicts agrees, disagrees and depends."""
         return self.kind == "CLAIM" and self.testable
 
 
 @dataclass(frozen=True)
 class Control:
-    """A deliberate change, the configurations that it affects, and the claims that should change."""
+    """A deliberate change, the configurations that it affects, and the claims that it should change."""
 
     name: str
     changes: str
@@ -65,7 +66,10 @@ class Control:
 
 @dataclass(frozen=True)
 class Book:
-    """The whole file. axes: values of each axis of readings, the base first; changes: made after the first version."""
+    """The whole file.
+
+    axes: values of each axis of readings, the base first; changes: changes made after the first version
+    """
 
     entries: tuple[Entry, ...]
     axes: Mapping[str, tuple[str, ...]]
@@ -84,7 +88,7 @@ class Book:
         return tuple((axis, self.axes[axis][0]) for axis in entry.readings)
 
     def varied(self, entry: Entry) -> list[tuple[tuple[str, str], ...]]:
-        """Return the base, then each axis changed separately to each of its other values."""
+        """Return the base readings, and then each axis changed separately to each of its other values."""
         base = self.base(entry)
         others = [
             tuple((name, value if name == axis else old) for name, old in base)

@@ -17,7 +17,7 @@ img{max-width:100%}code{background:#f3f3f3;padding:0 .2rem}"""
 
 
 def index(out: Path) -> str:
-    """Return Markdown with a line for each paper that has rows.json in a folder of `out`, with its counts."""
+    """Return Markdown with a line for each paper: a folder of `out` with rows.json. The line has the counts."""
     lines = []
     for name in NAMES:
         path = out / name / "rows.json"

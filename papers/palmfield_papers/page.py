@@ -19,7 +19,7 @@ RULES = {
 
 
 def number(value: object) -> str:
-    """Return a value with three digits, a range, words, or a dash."""
+    """Return a value as text: with three digits, as a range, in words, or a dash."""
     if value is None:
         return NONE
     if isinstance(value, list | tuple):

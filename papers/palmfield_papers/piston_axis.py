@@ -1,4 +1,4 @@
-"""Compute the sound of a piston on its axis, down to its face, where the far-field directivity is not valid.
+"""Compute the sound of a piston on its axis, up to its face, where the far-field directivity is not valid.
 
 The field of arrays (`palmfield.acoustics.field`) uses the far field of each transducer, p0/d exp(ikd) on its axis. The
 error near the face is the difference from `on_axis`, for a rigid piston in an infinite rigid baffle. For
@@ -16,8 +16,8 @@ from palmfield.types import Complex
 def on_axis(distance_m: ArrayLike, radius_m: float, wavenumber: float, *, p0_Pa_m: float = 1.0) -> Complex:
     """Return the complex peak pressure [Pa] on the axis of a baffled piston in lossless air, shape of distance_m.
 
-    p = i (2 p0/(k a^2)) [exp(ikr) - exp(ik sqrt(r^2 + a^2))] for sound that goes as exp(-i w t): exact at every
-    distance, with zeros and equal maxima near a face wider than a wavelength, and p0/r exp(ikr) far away. It is
+    p = i (2 p0/(k a^2)) [exp(ikr) - exp(ik sqrt(r^2 + a^2))] for the time factor exp(-i w t). This is exact at every
+    distance. Near a face wider than a wavelength it has zeros and equal maxima; far away it is p0/r exp(ikr). It is
     Rayleigh's integral over the disc (Kinsler et al., Fundamentals of Acoustics, 4th ed., section 7.4). It is also eq 7
     of Mizushima & Sato 2024 (doi 10.18494/SAM5054), rho c V [exp(-jkr) - exp(-jk sqrt(a^2 + r^2))]. There `a` is the
     radius of the disc, although the paper calls it the diameter, and V is the velocity 2 p0/(rho c k a^2).

@@ -1,7 +1,7 @@
 """Represent pistons by points on their faces: Rayleigh's integral, which is valid up to the baffle.
 
-The field of arrays (`palmfield.acoustics.field`) uses the far field of a piston. Points on its face, each a point
-source in the same baffle, add up to the exact sound of a rigid piston. Its closed form on the axis is in
+The field of arrays (`palmfield.acoustics.field`) uses the far field of a piston. The sum of many point sources on its
+face, in the same baffle, is the exact sound of a rigid piston. Its closed form on the axis is in
 `palmfield_papers.piston_axis`.
 """
 
@@ -16,13 +16,17 @@ from palmfield.errors import SceneError
 from palmfield.types import Array, Complex
 
 RINGS, SPOKES = 4, 12
-"""Number of points on a face: error 2e-4 on its axis beyond a Rayleigh length, for radii up to 6 mm at 40 kHz."""
+"""Number of points on a face: rings and points per ring.
+
+The error is 2e-4 on the axis beyond a Rayleigh length, for radii up to 6 mm at 40 kHz.
+"""
 
 
 def as_faces(array: Array, drive: ArrayLike, *, rings: int = RINGS, spokes: int = SPOKES) -> tuple[Array, Complex]:
     """Return an array of rings * spokes point sources for each piston, and their drive, shape (rings * spokes * n,).
 
-    drive: complex amplitudes of the pistons, shape (n,); rings: Gauss-Legendre in the square of the radius
+    drive: complex amplitudes of the pistons, shape (n,); rings: number of rings, at Gauss-Legendre points of the
+        squared radius
     The gain of the array is included in the drive. Raises SceneError for an array without pistons or with a directivity
     table, PalmfieldError for a drive of a wrong shape.
     """

@@ -46,8 +46,10 @@ class Tried:
 class Row:
     """One entry and all its answers, base readings first.
 
-    controls: by name, only for claims; causes, later: changes and their answers
-    found_later: readings that were found from answers, which verdicts ignore; seconds: of processor time
+    controls: answers by name of the control, only for claims
+    causes, later: changes and their answers
+    found_later: readings that were found from answers, which verdicts ignore
+    seconds: processor time
     """
 
     entry: Entry
@@ -64,11 +66,11 @@ class Row:
         return self.tried[0] if self.tried else None
 
     def turned(self, control: str) -> bool | None:
-        """Return whether the verdict changes under a control; None if one of the two is missing."""
+        """Return whether the verdict changes under a control. None if one of the two verdicts is missing."""
         return self.differs(self.controls[control])
 
     def differs(self, other: Tried) -> bool | None:
-        """Return whether the verdict differs from that of the base; None if one of the two is missing."""
+        """Return whether the verdict differs from that of the base. None if one of the two verdicts is missing."""
         if self.base is None or self.base.comparison is None or other.comparison is None:
             return None
         return self.base.comparison.within != other.comparison.within
@@ -111,16 +113,19 @@ def _tried(entry: Entry, compute: Compute, setting: Setting) -> Tried:
 
 
 def _acts_on(control: Control, entry: Entry, outcome: Verdict | None, quick: bool) -> bool:
-    """Return whether a control lists the claim or, in full runs, affects the configuration of a claim that agrees."""
+    """Return whether a control applies to a claim.
+
+    It applies if it lists the claim or, in full runs, if it affects the configuration of a claim that agrees.
+    """
     if control.name in entry.sensitive_to:
         return True
     return not quick and outcome == "agrees" and entry.configuration in control.configurations
 
 
 def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
-    """Answer an entry under its readings and, for claims, under controls; test causes if it disagrees.
+    """Answer an entry under its readings and, for claims, under controls. If it disagrees, test causes.
 
-    setting: gives quick and device. INPUT, ERRATUM and CALC are answered only under the base.
+    setting: quick and device are used. INPUT, ERRATUM and CALC are answered only under the base.
     """
     started = time.process_time()
     compute = paper.answers.get(entry.id)

@@ -1,4 +1,4 @@
-"""`palmfield papers`: the rows of each paper, its page, figures and rows.json, and an index over all."""
+"""`palmfield papers`: the rows of each paper, its page, figures and rows.json, and an index of all papers."""
 
 import json
 import logging
@@ -35,7 +35,7 @@ ROWS, PAGE, INDEX = "rows.json", "README.md", "index.html"
 
 @dataclass(frozen=True)
 class Done:
-    """Result of a paper. verdicts: counts; failed: ids of rows with errors; folder: of its files"""
+    """Result of a paper. verdicts: counts; failed: ids of rows with errors; folder: folder of its files"""
 
     name: str
     verdicts: dict[str, int]
@@ -61,11 +61,13 @@ def papers(
 ) -> list[Done]:
     """Compute the claims of papers, and write out/NAME/{README.md, rows.json, *.png} and out/index.html.
 
-    names: of the papers; quick: coarser, in minutes; device: of kernels that can run on a GPU
+    names: names of the papers
+    quick: whether to compute coarser, in minutes
+    device: device of kernels that can run on a GPU
     jobs: number of papers computed in parallel, each in a separate process
-    rows.json is written after each row, so that completed rows remain readable. A failed row is reported
-    on the page, and the next one follows. Ctrl-C writes the pages of completed rows, then raises KeyboardInterrupt.
-    Raises SceneError for an unknown paper, device or number of jobs, OutputError if files cannot be written.
+    rows.json is written after each row, so that completed rows remain readable. A failed row is reported on the page,
+    and the next row is computed. Ctrl-C writes the pages of completed rows, then raises KeyboardInterrupt. Raises
+    SceneError for an unknown paper, device or number of jobs, OutputError if files cannot be written.
     """
     if jobs < 1:
         raise SceneError(f"jobs is {jobs}; give 1 or more")
@@ -148,7 +150,7 @@ def _paper(name: str, report: Report, *, setting: Setting, out: Path) -> Done:
 
 
 def _notes(one: Paper, setting: Setting) -> str:
-    """Return the notes, or the error if writing them fails."""
+    """Return the notes, or the error if writing them failed."""
     if one.notes is None:
         return ""
     try:
@@ -202,7 +204,7 @@ def _pictures(one: Paper, setting: Setting, folder: Path) -> Iterator[tuple[Path
 
 
 def _drawn(picture: Picture, setting: Setting) -> Figure | None:
-    """Return the figure; None, with an error in the log, if drawing fails, which must not stop the page."""
+    """Return the figure. If drawing fails, log an error and return None, because this must not stop the page."""
     try:
         with style():
             return picture.draw(setting)

@@ -1,4 +1,4 @@
-"""Compute papers in parallel, each in a separate process, because they share no runs."""
+"""Compute papers in parallel, each in a separate process. This is possible because they share no runs."""
 
 import multiprocessing
 import os
@@ -11,13 +11,13 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 Report = Callable[[str, str], None]
-"""Called with the progress of a paper: its name and the entry that begins, or "" when an entry has ended."""
+"""Function that gets the progress of a paper: its name, and the entry that begins, or "" when an entry ends."""
 
 
 def side_by_side(work: Callable[[str, Report], T], names: Sequence[str], jobs: int, report: Report) -> list[T]:
-    """Return work(name, report) of each name, in order, with `jobs` processes at a time.
+    """Return work(name, report) for each name, in order, with `jobs` processes at a time.
 
-    work: picklable; after KeyboardInterrupt, which is raised once, it returns its partial result
+    work: function that can be pickled; after KeyboardInterrupt, which is raised once, it returns its partial result
     After Ctrl-C, names that have not begun are skipped.
     """
     context = multiprocessing.get_context("spawn")
@@ -55,7 +55,10 @@ def _wait(running: Sequence[Future[Any]], ending: Any) -> None:
 
 
 def _end(running: Sequence[Future[Any]], ending: Any) -> None:
-    """End workers: Ctrl-C in a terminal reaches all processes, but a signal sent by a program only this one."""
+    """End the workers.
+
+    Ctrl-C in a terminal reaches all processes, but a signal sent by a program reaches only this one.
+    """
     ending.set()
     for one in running:
         one.cancel()
@@ -65,7 +68,7 @@ def _end(running: Sequence[Future[Any]], ending: Any) -> None:
 
 
 def _one(work: Callable[[str, Report], T], name: str, progress: Any, ending: Any) -> list[T]:
-    """Return a list with the result; empty if it has not begun."""
+    """Return a list with the result. It is empty if the work has not begun."""
     if ending.is_set():
         return []
     before = signal.signal(signal.SIGINT, _once)
@@ -88,7 +91,7 @@ def _once(number: int, frame: object) -> None:
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Delay Ctrl-C to the end of the block in this thread, and permanently in processes that begin in it."""
+    """Delay Ctrl-C to the end of the block in this thread. Processes that begin in the block never get it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

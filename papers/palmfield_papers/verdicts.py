@@ -1,4 +1,4 @@
-"""Compare answers with tolerances, and combine the readings to a verdict."""
+"""Compare answers with tolerances, and combine the readings into a verdict."""
 
 import math
 from collections.abc import Sequence
@@ -14,13 +14,16 @@ VERDICTS: tuple[Verdict, ...] = ("agrees", "disagrees", "depends", "not testable
 
 
 ESTIMATORS_deg = 5.0
-"""Tolerance of angles ([tolerance_rules.angle])."""
+"""Tolerance between two estimators of an angle ([tolerance_rules.angle])."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """An answer compared with its entry. distance: from the limit, positive inside; for numbers in tolerances (1: hit,
-    0: limit), for inequalities in the unit of the compared quantity"""
+    """An answer compared with its entry.
+
+    distance: distance from the limit, positive inside. For numbers in tolerances (1: equal, 0: limit), for inequalities
+        in the unit of the compared quantity
+    """
 
     within: bool
     distance: float
@@ -47,7 +50,7 @@ def distance_in_tolerances(ours: float, paper: float, kind: str, value: float) -
 
 
 def compared(entry: Entry, answer: Answer) -> Comparison | None:
-    """Compare an answer with its entry; None if the answer has no value or the entry has no condition.
+    """Compare an answer with its entry. None if the answer has no value or the entry has no condition.
 
     Raises MeasurementError if the answer of an inequality has no margin, and if the value of the entry is not a number.
     """
@@ -68,7 +71,7 @@ def compared(entry: Entry, answer: Answer) -> Comparison | None:
 
 
 def sure(entry: Entry, answer: Answer) -> bool:
-    """Return whether the verdict is equal over the whole range of the numerical error."""
+    """Return whether the verdict is the same over the whole range of the numerical error."""
     own, error = compared(entry, answer), answer.error
     if own is None or answer.value is None or not error:
         return True
@@ -89,8 +92,10 @@ def hangs_on_estimator(answer: Answer | None) -> bool:
 
 
 def verdict(entry: Entry, comparisons: Sequence[Comparison | None]) -> Verdict:
-    """Return the verdict of all readings, base first. Readings without a value are ignored; a base without one
-    gives "no answer"."""
+    """Return the verdict of all readings, base first.
+
+    Readings without a value are ignored. If the base has no value, the verdict is "no answer".
+    """
     if not entry.testable:
         return "not testable"
     within = [one.within for one in comparisons if one is not None]

@@ -47,8 +47,7 @@ def common_choice(
 ) -> StepperChoice:
     """Choose one kind of stepper for a skin in all worlds.
 
-    choices: for each world with sound, the choice if it were alone
-    loads: number of different loads of these worlds
+    choices: for each world with sound, the choice if it were alone; loads: number of different loads of these worlds
     """
     few = choices[0].solver.any_pose or loads <= MOST_SMALL_MODELS or skin.config.solver != "auto"
     if few and len({choice.name for choice in choices}) == 1:

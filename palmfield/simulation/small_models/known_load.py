@@ -62,16 +62,13 @@ CLOSER, BEGIN_CLOSER = 16, 4
 MOST_EXAMPLES, LEAST_CLOSER = 2400, 8
 """Number of examples in the periodic state above which there are fewer per sample, and the smallest number per sample.
 
-The time to compute the load shapes increases with the square of the number. On stroke_palm with 8 examples per sample,
-the pressures between the samples differ from sums of these shapes by 4e-4, rms; with 16 examples by 3e-4.
+The time for their shapes is quadratic in the number. On stroke_palm, pressures between 8 examples per sample differ
+from sums of these shapes by 4e-4, rms; between 16 by 3e-4.
 """
 SPAN_CLOSER = 4
 """Drives per sample of a load. Their linear combinations represent all drives of the load."""
 OMITTED = 3e-4
-"""Fraction of a predicted load that the load shapes may omit.
-
-With these shapes, few points are enough to evaluate it.
-"""
+"""Fraction of a predicted load that the load shapes may omit. With these shapes few points suffice to evaluate it."""
 DIGITS = 10
 """Number of decimals to which drives are rounded."""
 BEGINNING = 48
@@ -152,10 +149,7 @@ def period_s(config: StimulusConfig) -> float | None:
 
 
 def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> int:
-    """Return the number of load samples per period for harmonics up to BAND.
-
-    It is a multiple of the number of fixed points of a path, so that all have the same number of samples.
-    """
+    """Return the number of load samples per period for harmonics up to BAND, equal for all fixed points of a path."""
     points = max(points_a_turn(config), 1)
     band = BAND * (2.0 if points > 1 else 1.0) * max_frequency_Hz
     return points * math.ceil(max(32, 4 * math.ceil(band * turn_s)) / points)
@@ -287,8 +281,7 @@ def _tones(config: StimulusConfig) -> list[tuple[Float, Complex]]:
 def at_end_of_band(config: StimulusConfig, highest_Hz: float) -> StimulusConfig:
     """Return a stimulus with its modulation at the highest frequency of the band.
 
-    All frequencies of the band then share one model, if the load has a constant shape. highest_Hz: highest frequency
-    that mesh and step resolve
+    All frequencies of the band then share one model, if the load has a constant shape. highest_Hz: of mesh and step
     """
     if config.modulation == "none" or config.am_frequency_Hz is None or config.am_waveform == "burst":
         return config

@@ -20,10 +20,10 @@ from palmfield.stimulus.schedule import first_point
 from palmfield.types import Complex, Float
 
 SHORT_WAVES = 3.0
-"""Velocity error due to load outside the class, divided by the fraction of pressure outside the class; approximate.
+"""Velocity error due to load outside the class, divided by its fraction of the pressure; approximate.
 
-Such load has shorter waves than the class. Sudden pressure moves skin only to a depth of about its wavelength, so short
-waves cause faster motion.
+Its waves are shorter than those of the class, and short waves cause faster motion, because sudden pressure moves skin
+to one wavelength only.
 """
 
 
@@ -38,8 +38,9 @@ def leaves_small_model(
 ) -> bool:
     """Return whether the reduced model of a skin has become invalid.
 
-    This is so if body, arrays or focus have moved, or if the run begins after the start of the sound. Raises SceneError
-    instead if key `solver` names the stepper.
+    Raises SceneError instead if key `solver` names the stepper.
+
+    This is so if body, arrays or focus have moved, or if the run begins after the start of the sound.
     """
     part = model.skins[skin]
     if state.skins[skin][0, 0] == WHOLE:
@@ -121,10 +122,7 @@ class OutsideClass:
 
     @property
     def energy_share(self) -> float:
-        """Return the fraction of all loads outside the class, in the energy norm.
-
-        It is about the error of the displacement.
-        """
+        """Return the fraction of all loads outside the class, in the energy norm; about the displacement error."""
         return math.sqrt(self.sums.energy / self.sums.energy_of_all) if self.sums.energy_of_all > 0.0 else 0.0
 
     @property
@@ -153,9 +151,8 @@ def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
 def loudest_load(
     model: HapticModel, skin: int, stepper: SkinStepper, reference: PosedScene, radiation: Radiation
 ) -> float:
-    """Return the load energy of a steady focus in the middle of a skin over a step, in the reference pose.
-
-    It is the reference for the size of loads. So the load of sound that misses the skin counts as small.
+    """Return the load energy of a steady focus in the middle of a skin over a step, in the reference pose. It is the
+    reference for the size of loads, so the load of sound that misses the skin counts as small.
     """
     frame = reference.skins[skin].body.frame
     centre = frame.points(np.array(model.skins[skin].spec.patch_centre))

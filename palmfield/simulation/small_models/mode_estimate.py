@@ -19,10 +19,7 @@ LEAST_CORNER_Hz = 75.0
 
 
 def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
-    """Return why general modes of a skin are impossible, in words; None if they are possible.
-
-    Reasons that need matrices are found later.
-    """
+    """Return why general modes of a skin are impossible, in words, or None. Reasons that need matrices come later."""
     config = skin.config
     if config.body_sound == "scattering":
         return "boundary elements for every sample load would cost more than a run"
@@ -65,6 +62,7 @@ def corner_Hz(stimulus: StimulusModel, spot_m: float) -> float:
     """Return the approximate frequency above which the load spectrum of a stimulus falls [Hz].
 
     spot_m: width of the spot [m]
+
     A focus with speed v and spot width w passes a point in the time w / v. A focus that jumps at some rate counts as
     one that moves to the next point in this time. AM adds its own frequency.
     """

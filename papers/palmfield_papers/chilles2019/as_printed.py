@@ -1,4 +1,4 @@
-"""The radiation pressure that Chilles et al. 2019 print wrongly, with its corrected form."""
+"""The wrongly printed formula for radiation pressure of Chilles et al. 2019, with its corrected form."""
 
 import numpy as np
 
@@ -8,17 +8,18 @@ from palmfield.types import Air, Field, Float
 
 
 def incident_lagrangian_as_printed(field: Field, air: Air, frequency_Hz: float) -> Float:
-    """Chilles et al. 2019 (doi 10.1109/WHC.2019.8816097): <p^2>/(2 rho c^2) - rho <u.u>/2 [Pa], shape (n,).
+    """Return the pressure by the formula of Chilles et al. 2019 (doi 10.1109/WHC.2019.8816097) [Pa], shape (n,).
 
-    They print u^2.u for u.u and apply it to the incident sound, without the echo, as a load on the skin. In a
-    travelling wave the two terms are equal, so that a plane wave exerts no pressure. At a focus a difference comes from
-    its convergence: 2.3 % of the correct pressure, with their array at 200 mm. On a rigid wall the formula holds for
-    the total field, and the pressure of a plane wave is 2 <p^2>/(rho c^2) of its incident field. Corrected:
-    `palmfield.acoustics.arp.arp`, law default.
+    The formula is <p^2>/(2 rho c^2) - rho <u.u>/2. The paper prints u^2.u for u.u. It applies the formula to the
+    incident sound, without the echo, as a load on the skin. In a travelling wave the two terms are equal, so a plane
+    wave exerts no pressure. At a focus, its convergence causes a difference: 2.3 % of the correct pressure, with their
+    array at 200 mm. On a rigid wall the formula is correct for the total field; the pressure of a plane wave is then 2
+    <p^2>/(rho c^2) of its incident field. Corrected: `palmfield.acoustics.arp.arp`, law default.
 
-    field: incident pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), peak amplitudes.
-    air: theirs is rho 1.225 kg/m3 and c 343 m/s.
-    Raises PalmfieldError for a field without gradient or that is not finite, SceneError for invalid air or frequency.
+    field: incident pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), peak amplitudes
+    air: in the paper, rho is 1.225 kg/m3 and c is 343 m/s
+    Raises PalmfieldError for a field without gradient or with values that are not finite, SceneError for invalid air or
+    frequency.
     """
     check.frequency(frequency_Hz)
     if field.gradient is None:

@@ -1,4 +1,4 @@
-"""Compute all chains from the vibrometer to the printed numbers, and how many of the six each explains."""
+"""Compute all processing chains from the vibrometer to the printed numbers, and how many of the six each explains."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,8 +19,12 @@ from palmfield_papers.entries import book
 
 @dataclass(frozen=True)
 class Chain:
-    """order: of the high-pass, 0 for none; drift: whether a straight line is subtracted from the displacement;
-    gain: whether the load is fitted on the step's peak, else 12 Pa"""
+    """One processing chain.
+
+    order: order of the high-pass, 0 for none
+    drift: whether a straight line is subtracted from the displacement
+    gain: whether the load is fitted on the peak of the step; otherwise it is 12 Pa
+    """
 
     order: int
     phase: str
@@ -40,7 +44,7 @@ class Explained:
 
 
 def chains() -> list[Chain]:
-    """Return all combinations of order, phase, drift, level, azimuth and window; without a filter there is no phase."""
+    """Return all combinations of order, phase, drift, level, azimuth and window. Without a filter there is no phase."""
     kinds = [(0, "causal"), *((order, phase) for order in (1, 2, 4) for phase in ("causal", "zero_phase"))]
     return [
         Chain(order, phase, drift, gain, azimuth, window)
@@ -63,7 +67,7 @@ def _trace(case: Case, stimulus: Stimulus, chain: Chain) -> Trace:
 
 
 def explained(case: Case, chain: Chain) -> Explained:
-    """Return the six numbers of a chain. With a gain fitted on the peak of the step, that peak agrees necessarily."""
+    """Return the six numbers of a chain. If the gain is fitted on the peak of the step, this peak always agrees."""
     key = replace(chain, gain=False, window="")
     step = _trace(case, "step", key)
     numbers = {"C14a": steady_of(step), "C14c": peak_of(step)}
@@ -83,8 +87,10 @@ def all_explained(case: Case) -> tuple[Explained, ...]:
 
 
 def both_ways(case: Case, order: int, before_s: float) -> tuple[float, float]:
-    """Return steady state and peak of the step [um] if the filter runs forward and backward over a record that begins
-    `before_s` before the trigger."""
+    """Return steady state and peak of the step [um] if the filter runs forward and backward.
+
+    The record begins `before_s` before the trigger.
+    """
     run = at_observer(case, "step")
     settings = vibrometer(Probe(order=order, phase="zero_phase"))
     early = settings.model_copy(update={"trigger_s": -before_s, "duration_s": RECORD_S + before_s})

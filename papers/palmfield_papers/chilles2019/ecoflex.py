@@ -1,5 +1,6 @@
-"""The law of Ecoflex 00-10 that Chilles et al. 2019 (doi 10.1109/WHC.2019.8816097) print wrongly, with its corrected
-forms: sigma = sigma_1 + sigma_2 with sigma_1 = G_r eps. Complex moduli are G' - iG'' (e^{-i w t}).
+"""Law of Ecoflex 00-10 as Chilles et al. 2019 (doi 10.1109/WHC.2019.8816097) print it wrongly, with corrected forms.
+
+The law is sigma = sigma_1 + sigma_2 with sigma_1 = G_r eps. Complex moduli are G' - iG'' (e^{-i w t}).
 """
 
 import math
@@ -10,20 +11,20 @@ from palmfield.skin.materials.material import bulk_from_poisson
 
 
 def ecoflex_time_as_printed() -> Material:
-    """Return Ecoflex 00-10 with their printed time, tau = 0.171 us.
+    """Return Ecoflex 00-10 with the printed time, tau = 0.171 us.
 
-    eta / G_m = 3.42 Pa s / 20 kPa is 171 us, a thousand times more: with the printed time the material has no loss
-    below 100 kHz. Corrected: preset 'ecoflex_00-10'.
+    The correct value is eta / G_m = 3.42 Pa s / 20 kPa = 171 us, a thousand times more. With the printed time, the
+    material has no loss below 100 kHz. Corrected: preset 'ecoflex_00-10'.
     """
     right = preset("ecoflex_00-10")
     return replace(right, name="ecoflex_00-10, tau as printed", branches=(Branch(20e3, 0.171e-6),))
 
 
 def ecoflex_bulk_corrected() -> Material:
-    """Return Ecoflex 00-10 with nu 0.495 of the instantaneous modulus.
+    """Return Ecoflex 00-10 with Poisson's ratio 0.495 for the instantaneous modulus.
 
-    Preset 'ecoflex_00-10' reads nu as printed, of the relaxed modulus: under fast loads the shear modulus rises and
-    Poisson's ratio falls to nu 0.487.
+    Preset 'ecoflex_00-10' uses the printed value for the relaxed modulus. Under fast loads the shear modulus then
+    rises, and Poisson's ratio falls to 0.487.
     """
     right = preset("ecoflex_00-10")
     bulk = bulk_from_poisson(0.495, right.shear_instant_Pa)
@@ -31,10 +32,10 @@ def ecoflex_bulk_corrected() -> Material:
 
 
 def ecoflex_rate_law_as_printed() -> float:
-    """Return the shear modulus [Pa] of Ecoflex 00-10 by their law as printed, eps' = sigma_1'/G_m + sigma_2'/eta.
+    """Return the shear modulus [Pa] of Ecoflex 00-10 by the printed law, eps' = sigma_1'/G_m + sigma_2'/eta.
 
-    With sigma_1 = G_r eps it gives sigma_2 = eta (1 - G_r/G_m) eps: a strain times Pa s is not a stress, and with SI
-    numbers, the solid has the same modulus at all frequencies and no loss. Corrected: eps' = sigma_2'/G_m +
+    With sigma_1 = G_r eps, this gives sigma_2 = eta (1 - G_r/G_m) eps. A strain times Pa s is not a stress. With SI
+    numbers, the solid would have the same modulus at all frequencies and no loss. Corrected: eps' = sigma_2'/G_m +
     sigma_2/eta, `complex_shear` of the preset.
     """
     material = preset("ecoflex_00-10")
@@ -42,10 +43,10 @@ def ecoflex_rate_law_as_printed() -> float:
 
 
 def ecoflex_rate_law_mixed(f_Hz: float) -> complex:
-    """Return the complex shear modulus [Pa] at f [Hz] of their law with its last dot treated as a misprint.
+    """Return the complex shear modulus [Pa] at f [Hz] of the printed law, if its last dot is a misprint.
 
-    eps' = sigma_1'/G_m + sigma_2/eta still contains sigma_1 of the spring instead of sigma_2 of the branch: G = G_r -
-    i w eta (1 - G_r/G_m), a Kelvin-Voigt solid. Corrected as above.
+    The law eps' = sigma_1'/G_m + sigma_2/eta still contains sigma_1 of the spring instead of sigma_2 of the branch. It
+    gives G = G_r - i w eta (1 - G_r/G_m), a Kelvin-Voigt solid. Corrected as above.
     """
     material = preset("ecoflex_00-10")
     return complex(material.shear_relaxed_Pa, -2.0 * math.pi * f_Hz * left_over_viscosity(material))

@@ -13,16 +13,16 @@ from palmfield_papers.verdicts import distance_in_tolerances
 
 ORDERS = (1, 2, 4)
 SIX = ("C14a", "C14c", "C19a", "C19c", "C20a", "C20c")
-"""Steady state and peak of the step, peak to peak and rms of AM and STM: the column of measured values."""
+"""Ids of the six measured values: steady state and peak of the step; peak to peak and rms of AM and STM."""
 CONFIGURATIONS: dict[str, tuple[str, Stimulus]] = {
     "first": ("infinite", "ramp"),
     "second": ("infinite", "step"),
 }
-"""papers.md does not name its two configurations; ours are the infinite slab with and without the ramp."""
+"""The two configurations. papers.md does not name them; ours are the infinite slab with and without the ramp."""
 
 
 def six(case: Case, probe: Probe, window: str, factor: float = 1.0) -> dict[str, float]:
-    """Return the six numbers [um] for one chain, one window and the load times a factor."""
+    """Return the six numbers [um] for one chain and one window. factor: factor on the load"""
     step = measured(case, "step", probe)
     found = {"C14a": steady_of(step), "C14c": peak_of(step)}
     stimuli: tuple[tuple[Stimulus, str, str], ...] = (("am_pressure", "C19a", "C19c"), ("stm", "C20a", "C20c"))
@@ -34,7 +34,7 @@ def six(case: Case, probe: Probe, window: str, factor: float = 1.0) -> dict[str,
 
 
 def agreeing(found: dict[str, float]) -> list[str]:
-    """Return which of the six are within their tolerances."""
+    """Return which of the six numbers are within their tolerances."""
     entries: dict[str, Entry] = {entry.id: entry for entry in book().entries if entry.id in found}
     return [
         name
@@ -46,7 +46,7 @@ def agreeing(found: dict[str, float]) -> list[str]:
 
 
 def pairs(setting: Setting) -> Answer:
-    """Return how many pairs of order and window have all six within their tolerances at 12 Pa."""
+    """Return for how many pairs of order and window all six numbers are within their tolerances at 12 Pa."""
     case, windows = case_of(setting), book().axes["chilles_window"]
     found = {
         (order, window): len(agreeing(six(case, Probe(order=order), window))) for order in ORDERS for window in windows
@@ -76,7 +76,7 @@ def peak_after(which: str, order: int) -> Compute:
 
 
 def peak_in_range(order: int, least: float, most: float) -> Compute:
-    """Compare with a range here, because the entry has no single number."""
+    """Return a comparison with a range, because the entry has no single number."""
 
     def compute(setting: Setting) -> Answer:
         trace = measured(case_of(setting), "step", Probe(order=order))

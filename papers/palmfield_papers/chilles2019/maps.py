@@ -23,13 +23,13 @@ from palmfield_papers.chilles2019.traces import UM, vibrometer
 GRID_M = 1e-3
 STEADY_S = (0.18, 0.2)
 RAYS = 8
-"""Number of steps in angle from the side of the head to the other, along whose rays readings are computed."""
+"""Number of angles from the side of the head to the other side at which readings are computed along a ray."""
 GROUP = 1000
 
 
 @dataclass(frozen=True)
 class Map:
-    """A number [um] at points of the face. values: shape (n, n) at x and y [m], x first; error: relative"""
+    """A number [um] at points of the face. values: shape (n, n) at x and y [m], x first; error: relative error"""
 
     axis_m: Float
     values: Float
@@ -38,7 +38,10 @@ class Map:
 
 @dataclass(frozen=True)
 class Circles:
-    """An rms [um] on circles: values of shape (radii, angles), at radii [m]; middle: at the centre; error: relative"""
+    """An rms [um] on circles.
+
+    values: shape (radii, angles), at radii [m]; middle: in the centre; error: relative error
+    """
 
     radii_m: Float
     values: Float
@@ -52,7 +55,7 @@ def grid_axis() -> Float:
 
 
 def raw_profile(case: Case, stimulus: Stimulus, of: str) -> tuple[Float, Float, float]:
-    """Return radii [m] at steps of 1 mm, rms or steady vertical displacement [um] within 200 ms, and its error."""
+    """Return radii [m] at steps of 1 mm, the rms or steady vertical displacement [um] within 200 ms, and its error."""
     run = along_radius(case, stimulus)
     times = np.arange(round(STIMULUS_S * MAP_RATE_HZ) + 1) / MAP_RATE_HZ
     moved = UM * case.level_Pa * sampled(run.motion.times_s, run.motion.displacement_m[:, :, 2], times)
@@ -79,7 +82,7 @@ def measured_map(case: Case, stimulus: Stimulus, probe: Probe) -> Map:
 
 @cache
 def _measured_map(case: Case, stimulus: Stimulus, probe: Probe) -> Map:
-    """Compute from points on rays: the mean square is a sum of cosines of the angle to the head."""
+    """Compute `measured_map` from points on rays. The mean square is a sum of cosines of the angle to the head."""
     run, axis = along_radius(case, stimulus), grid_axis()
     angles = np.pi * np.arange(RAYS + 1) / RAYS
     radii = run.motion.points[:, 0]
@@ -105,7 +108,7 @@ def _rms(motion: SurfaceMotion, probe: Probe) -> Float:
 
 
 def _spun(motion: SurfaceMotion, places: Float) -> Iterator[SurfaceMotion]:
-    """Yield axisymmetric motion at points (n, 2) from that along the x axis, in groups."""
+    """Yield axisymmetric motion at points (n, 2), computed from the motion along the x axis, in groups."""
     radii = motion.points[:, 0]
     lines = [
         CubicSpline(radii, values[:, :, (0, 2)], axis=1) for values in (motion.displacement_m, motion.velocity_m_s)

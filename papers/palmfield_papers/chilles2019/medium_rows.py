@@ -18,12 +18,12 @@ from palmfield_papers.chilles2019.setup import (
 from palmfield_papers.entries import book
 
 STEP_S = 0.2e-3
-"""Their time step, section IV.C."""
+"""Time step of the paper, section IV.C."""
 PRESET = f"preset {SILICONE}"
 
 
 def input_of(value: float, note: str = PRESET) -> Compute:
-    """Return the answer of an input that a preset, slab or load of the library confirms."""
+    """Return the answer for an input that a preset, slab or load of the library confirms."""
     return lambda _setting: Answer(value, 0.0, note=note)
 
 
@@ -90,7 +90,7 @@ def rate_law(setting: Setting) -> Answer:
 
 
 def rayleigh_ratio(setting: Setting) -> Answer:
-    """Return |u_t/u_n| at the surface of a half-space (Achenbach 1973, ch. 5), by x = (c_R/c_s)^2."""
+    """Return |u_t/u_n| at the surface of a half-space (Achenbach 1973, ch. 5), with x = (c_R/c_s)^2."""
 
     def at(nu: float) -> float:
         squares = (1.0 - 2.0 * nu) / (2.0 - 2.0 * nu)
@@ -104,7 +104,7 @@ def rayleigh_ratio(setting: Setting) -> Answer:
 
 
 def misfits() -> dict[str, float]:
-    """Return FEM over measured values of the six pairs in Tables I and II."""
+    """Return the ratios of FEM value to measured value, for the six pairs in Tables I and II."""
     values = {entry.id: entry.value for entry in book().entries}
     pairs = {
         "steady": ("C15a", "C14a"), "step peak": ("C15c", "C14c"), "AM p-p": ("C19b", "C19a"),

@@ -1,4 +1,4 @@
-"""Row C13g: static deflection on the mesh of the paper, with quadratic and linear elements, over the converged one."""
+"""Row C13g: static deflection on the mesh of the paper relative to the converged one; quadratic and linear elements."""
 
 from functools import cache
 
@@ -20,9 +20,15 @@ from palmfield_papers.answer import Answer, Compute, Setting
 from palmfield_papers.chilles2019.setup import RADIUS_M, Case, case_of, reading, slab_of
 
 LATERAL_M, ROW_M = 2e-3, 10e-3
-"""Section IV.C: "a maximum lateral dimension of 2 mm, and 10 mm length through the thickness"."""
+"""Largest lateral dimension and length through the thickness of elements in the paper.
+
+Section IV.C: "a maximum lateral dimension of 2 mm, and 10 mm length through the thickness".
+"""
 SPOT_RADIUS_M, FAR_LATERAL_M = 0.02, 4e-3
-"""Larger elements beyond this radius in a quick run, which change the deflection by 2e-5 and halve the time."""
+"""Radius beyond which elements are larger in a quick run, and their size.
+
+They change the deflection by 2e-5 and halve the time.
+"""
 CONVERGED = 0.002
 
 
@@ -36,7 +42,7 @@ def their_mesh(quick: bool) -> Sizes:
 
 @cache
 def converged(case: Case) -> tuple[float, float]:
-    """Return the deflection in the centre per pascal [m] by the axisymmetric solver, and its relative error."""
+    """Return the deflection in the centre per pascal [m] from the axisymmetric solver, and its relative error."""
     motion = static(slab_of(case), _load(case), [[0.0, 0.0]], accuracy=CONVERGED)
     return float(motion.displacement_m[0, 0, 2]), motion.error
 
@@ -55,9 +61,10 @@ def on_their_mesh(case: Case, order: str) -> float:
 
 
 def _linear(system: SkinSystem, force: Float) -> Float:
-    """Return the static displacement (ndof,) in the space of linear wedges, a subspace of the quadratic ones.
+    """Return the static displacement (ndof,) in the space of linear wedges, which is a subspace of the quadratic ones.
 
-    Their volumetric strain is in the projection space, so they are standard linear elements without softening.
+    Their volumetric strain is in the projection space. So they are standard linear elements, without reduced
+    integration.
     """
     corners, shares = _from_corners(system.mesh)
     spread = sparse.kron(shares, sparse.identity(3), format="csr")
@@ -69,7 +76,7 @@ def _linear(system: SkinSystem, force: Float) -> Float:
 
 
 def _from_corners(mesh: WedgeMesh) -> tuple[np.ndarray, sparse.csr_matrix]:
-    """Return which nodes are corners of elements, and the matrix of all nodes as means of corners, (nodes, corners)."""
+    """Return which nodes are corners of elements, and the matrix from corners to all nodes, (nodes, corners)."""
     levels = mesh.elements.reshape(len(mesh.elements), 3, 6)
     corners = np.unique(levels[:, (0, 2), :3])
     column = np.full(len(mesh.nodes), -1)

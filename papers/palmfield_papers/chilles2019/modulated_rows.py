@@ -27,7 +27,7 @@ from palmfield_papers.chilles2019.step_rows import LEVEL, banded, step_peak
 from palmfield_papers.chilles2019.traces import Trace, fem_window, measured, measured_window, raw
 
 STEP_PEAK_UM = -1.02
-"""Measured value of Table I, on which the gain of configuration chilles.measured_gain is fitted."""
+"""Measured value of Table I. The gain of configuration chilles.measured_gain is fitted to it."""
 SHARE = 0.01
 FAR_AM_M, FAR_STM_M = 0.0255, 0.02
 FEM_STIMULI: dict[str, Stimulus] = {"am": "am_load", "stm": "stm"}
@@ -35,7 +35,7 @@ MEASURED_STIMULI: dict[str, Stimulus] = {"am": "am_pressure", "stm": "stm"}
 
 
 def gain(case: Case, probe: Probe) -> float:
-    """Return the factor of the load for the measured peak of the step with the same filter (row C10)."""
+    """Return the factor on the load with which the step has the measured peak, with the same filter (row C10)."""
     return STEP_PEAK_UM / step_peak(case, probe)
 
 
@@ -85,7 +85,7 @@ def size(kind: str, source: Source, number: str) -> Compute:
 
 
 def highest(kind: str, inwards: bool) -> Compute:
-    """Return the largest outward displacement, compared with a hundredth of the peak-to-peak value."""
+    """Return the largest outward displacement. It is compared with a hundredth of the peak-to-peak value."""
 
     def compute(setting: Setting) -> Answer:
         def both(case: Case) -> tuple[float, float]:
@@ -124,12 +124,12 @@ def loudest_of(circles: Circles) -> float:
 
 
 def _map_band(setting: Setting, case: Case, value: Callable[[Case], float]) -> tuple[float, float] | None:
-    """Return a band only for base readings in full runs, because maps of the moving spot take longest."""
+    """Return the band only for base readings in full runs, because maps of the moving spot take longest."""
     return None if setting.quick or case != Case(device=case.device) else banded(setting, case, value)
 
 
 def far_over_middle(one: Map) -> float:
-    """Return the largest value beyond 25.5 mm over that in the centre."""
+    """Return the largest value beyond 25.5 mm, divided by the value in the centre."""
     radius = np.hypot(*np.meshgrid(one.axis_m, one.axis_m, indexing="ij"))
     middle = len(one.axis_m) // 2
     return float(one.values[radius > FAR_AM_M].max() / one.values[middle, middle])
@@ -147,7 +147,7 @@ def far_am(setting: Setting) -> Answer:
 
 
 def far_over_circle(circles: Circles) -> float:
-    """Return the largest rms on circles beyond 20 mm over the mean on that of 10 mm."""
+    """Return the largest rms on circles beyond 20 mm, divided by the mean on the circle of 10 mm."""
     on_path = int(np.argmin(np.abs(circles.radii_m - CIRCLE_RADIUS_M)))
     return float(circles.values[circles.radii_m > FAR_STM_M + 1e-6].max() / circles.values[on_path].mean())
 
@@ -168,7 +168,10 @@ def far_stm(setting: Setting) -> Answer:
 
 
 def am_over_held(setting: Setting) -> Answer:
-    """Return the rms under AM over that of the stationary focus, both through the vibrometer, in the same window."""
+    """Return the rms under AM divided by that of the stationary focus, both through the vibrometer.
+
+    Both use the same window.
+    """
     removed = reading(setting, "chilles_mean") == "mean removed"
     probe = probe_of(setting)
 
@@ -196,7 +199,7 @@ def area_of(one: Map) -> float:
 
 
 def as_map(circles: Circles) -> Map:
-    """Interpolate on a grid of 1 mm, linearly between circles and angles; 0 outside the disc."""
+    """Interpolate on a grid of 1 mm, linearly between circles and angles. The map is 0 outside the disc."""
     axis = grid_axis()
     x, y = np.meshgrid(axis, axis, indexing="ij")
     steps = 2.0 * np.pi / circles.values.shape[1] * np.arange(circles.values.shape[1] + 1)
@@ -208,7 +211,7 @@ def as_map(circles: Circles) -> Map:
 
 
 def stm_over_am_area(setting: Setting) -> Answer:
-    """Return the area under STM over that under AM."""
+    """Return the area under STM divided by that under AM."""
     probe = probe_of(setting)
 
     def areas(case: Case) -> tuple[float, float]:
@@ -226,7 +229,7 @@ def load_ratio(setting: Setting) -> Answer:
 
 
 def am_lines(setting: Setting) -> Answer:
-    """Return lines at 200 and 400 Hz over the last periods, with the pressure modulated."""
+    """Return the spectral lines at 200 and 400 Hz over the last periods, with the pressure modulated."""
     trace = measured(case_of(setting), "am_pressure", probe_of(setting))
     window = measured_window("last five periods of the stimulus", "am_pressure")
     times, values = within(trace.times_s, trace.values, window)
@@ -301,7 +304,7 @@ ANSWERS: dict[str, Compute] = {
 
 
 def with_case(answer: Callable[[Case], Answer], change: Callable[[Case], Case], *, full: bool = False) -> Compute:
-    """full: compute only in full runs, because it takes minutes"""
+    """Return the answer with another case. full: whether to compute it only in full runs, because it takes minutes"""
 
     def compute(setting: Setting) -> Answer:
         if full and setting.quick:

@@ -15,7 +15,10 @@ from palmfield_papers.entries import book
 from palmfield_papers.verdicts import distance_in_tolerances
 
 WIDE_M = 0.01446
-"""FWHM of the load that fits the FEM of the paper. It was found from answers before this gallery: a hypothesis."""
+"""FWHM of the load that fits the FEM of the paper.
+
+It was found from answers before this gallery, so it is a hypothesis.
+"""
 FEM = ("C15a", "C15c", "C15d", "C19b", "C19d", "C20b", "C20d")
 LABELS = ("steady", "peak", "diameter [mm]", "AM p-p", "AM rms", "STM p-p", "STM rms")
 MEASURED_LABELS = ("steady", "peak", "AM p-p", "AM rms", "STM p-p", "STM rms")
@@ -24,7 +27,7 @@ EARLIER_S = 0.1
 
 
 def fem_numbers(case: Case) -> dict[str, float]:
-    """Return the seven numbers of the FEM column under the base readings, in um, the diameter in mm."""
+    """Return the seven numbers of the FEM column under the base readings: in um, and the diameter in mm."""
     step = raw(case, "step")
     diameter = diameter_of(round_map(*raw_profile(case, "step", "rms of the displacement")))
     found = {"C15a": steady_of(step), "C15c": peak_of(step), "C15d": diameter}
@@ -49,7 +52,7 @@ def _within(found: dict[str, float]) -> int:
 
 
 def cases(setting: Setting) -> dict[str, Case]:
-    """Return cases for inputs that the text leaves open or prints twice, each changed separately."""
+    """Return cases for inputs that the text leaves open or prints twice. Each input is changed separately."""
     base, sound = case_of(setting), focal_sound()
     return {
         "base: 12 Pa, 10.3 mm, tau 171 µs, nu 0.495 with the relaxed modulus": base,

@@ -153,7 +153,10 @@ def maps(setting: Setting) -> Figure:
 
 
 def _on_grid(circles: Circles) -> Float:
-    """Interpolate circles on the grid of the other maps, linearly in radius and angle; constant beyond the last."""
+    """Interpolate circles on the grid of the other maps, linearly in radius and angle.
+
+    It is constant beyond the last circle.
+    """
     axis = grid_axis()
     x, y = np.meshgrid(axis, axis, indexing="ij")
     radii = np.concatenate([[0.0], circles.radii_m])

@@ -22,25 +22,32 @@ from palmfield_papers.chilles2019.setup import (
 )
 
 RATE_HZ, ENDLESS_RATE_HZ, JUMP_RATE_HZ, JUMP_S = 32e3, 8e3, 128e3, 2e-3
-"""Rates of times of traces, and of times near beginning and end of the stimulus. Pressure waves,
-which are hardly damped, return to the centre from a rim, but not on the infinite slab."""
+"""Sampling rates of traces, and rates and duration of denser samples near start and end of the stimulus.
+
+Pressure waves, which are hardly damped, return to the centre from a rim, but not on the infinite slab.
+"""
 QUICK_CIRCLE_RATE_HZ = 16e3
 """Rate of traces under the moving spot in quick runs."""
 MAP_RATE_HZ = 8e3
 LOSSLESS: dict[str, Any] = {"degree": 5}
-"""Resolution for the printed characteristic time: without losses all modes ring, and finer runs take many minutes. The
-error includes its effect."""
+"""Resolution for the printed characteristic time. Without losses all modes ring, and finer runs take many minutes.
+
+The error includes the effect of this resolution.
+"""
 LOSSLESS_ACCURACY, LOSSLESS_QUICK = 0.02, 0.1
 ANGLES = 12
-"""Number of points on each circle, the first on the x axis; the rms varies slowly with angle."""
+"""Number of points on each circle, with the first on the x axis. The rms varies slowly with angle."""
 GROUP = 241
-"""Largest number of points of a disc that are solved together; more need over 4 GB of memory."""
+"""Largest number of points of a disc that are solved together. More points need over 4 GB of memory."""
 OBSERVERS = {"step": (0.0, 0.0), "stm": (CIRCLE_RADIUS_M, 0.0)}
 
 
 @dataclass(frozen=True)
 class Run:
-    """Motion of points of the face per pascal of peak pressure; error: relative, of the displacement, by the solver."""
+    """Motion of points of the face per pascal of peak pressure.
+
+    error: relative error of the displacement, by the solver
+    """
 
     motion: SurfaceMotion
     error: float
@@ -64,8 +71,8 @@ def map_times() -> Float:
 def by_differences(motion: Motion) -> Motion:
     """Replace velocities by central differences of displacements, at evenly spaced times.
 
-    Velocities of the solver contain oscillations at kilohertz after a jump of the load, which the times of a map do
-    not resolve. Their integral would drift; sums of differences do not.
+    After a jump of the load, velocities of the solver contain oscillations at kilohertz, which the times of a map do
+    not resolve. The integral of these velocities would drift. Sums of differences do not drift.
     """
     return replace(motion, velocity_m_s=np.gradient(motion.displacement_m, motion.times_s, axis=0))
 
@@ -91,7 +98,7 @@ def _solved(case: Case, stimulus: Stimulus, times_s: Float, at_m: Float, accurac
 
 
 def at_observer(case: Case, stimulus: Stimulus) -> Run:
-    """Return the motion at the point of the paper's traces: the centre, or (10 mm, 0) under the moving spot."""
+    """Return the motion at the point of the traces in the paper: the centre, or (10 mm, 0) under the moving spot."""
     return _at_observer(replace(case, level_Pa=1.0), stimulus)
 
 
@@ -127,13 +134,18 @@ def _along_radius(case: Case, stimulus: Stimulus) -> Run:
 
 
 def on_circles(case: Case) -> Run:
-    """Return the motion of the centre and of circles under the moving spot, ANGLES points on each of `circle_radii`."""
+    """Return the motion of the centre and of circles under the moving spot.
+
+    Each of `circle_radii` has ANGLES points.
+    """
     return _on_circles(replace(case, level_Pa=1.0))
 
 
 def circle_radii(quick: bool) -> Float:
-    """Return radii [m] from near the centre to near the rim, finer near the path; 21 mm is the first beyond 20 mm of a
-    grid of 1 mm, where row C21c searches the maximum."""
+    """Return radii [m] from near the centre to near the rim, finer near the path.
+
+    21 mm is the first radius beyond 20 mm on a grid of 1 mm. On this grid, row C21c searches the maximum.
+    """
     path = (
         np.arange(2.0, 21.0, 2.0) if quick else np.concatenate([[2.0, 4.0], np.arange(5.0, 15.5), [16.0, 18.0, 20.0]])
     )

@@ -21,9 +21,9 @@ STIMULUS_S, RECORD_S, RAMP_S = 0.2, 0.256, 1e-3
 OFF_S = 1e-9
 """Time in which a load decreases to 0 at the end of the stimulus [s]."""
 LOAD_RATE_HZ = 32e3
-"""Rate of samples of a load, which is linear between them; this reduces a sine of 400 Hz by 0.1 %."""
+"""Sampling rate of a load, which is linear between samples. This reduces a sine of 400 Hz by 0.1 %."""
 CIRCLE_RATE_HZ = 8e3
-"""Rate of samples of the circle, whose chords deviate by 0.004 mm; solvers subdivide them."""
+"""Sampling rate of the circle. Its chords deviate from the circle by 0.004 mm; solvers subdivide them."""
 
 Stimulus = Literal["step", "ramp", "am_load", "am_pressure", "stm"]
 MaterialName = Literal["given", "half", "soft", "stiff", "tau_printed", "bulk_corrected", "massless"]
@@ -37,7 +37,8 @@ STARTS: dict[str, Stimulus] = {"pure step": "step", "raised-cosine ramp of 1 ms"
 class Case:
     """One configuration: a slab, a spot, its peak pressure. Hashable, so that runs are cached by it.
 
-    side: a value of reading chilles_sides; level_Pa: runs do not depend on it, because they are linear
+    side: a value of reading chilles_sides
+    level_Pa: peak pressure; runs do not depend on it, because they are linear
     circle_m: radius of the path of the spot
     device: for waves of the infinite slab; discs are solved on the host
     """
@@ -86,7 +87,7 @@ LINES_OF_SIGHT = {
 
 
 def reading(setting: Setting, axis: str) -> str:
-    """Return the value of an axis; its base value if the number does not depend on it."""
+    """Return the value of an axis. If the number does not depend on the axis, return its base value."""
     return dict(setting.readings).get(axis) or book().axes[axis][0]
 
 
@@ -138,7 +139,7 @@ def slab_of(case: Case) -> Slab:
 
 
 def course(stimulus: Stimulus, times_s: Float) -> Float:
-    """Return pressure over peak pressure while the stimulus is on, shape (t,)."""
+    """Return pressure divided by peak pressure while the stimulus is active, shape (t,)."""
     if stimulus == "ramp":
         return 0.5 - 0.5 * np.cos(np.pi * np.clip(times_s / RAMP_S, 0.0, 1.0))
     if stimulus in ("am_load", "am_pressure"):

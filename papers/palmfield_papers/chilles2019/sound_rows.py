@@ -70,7 +70,7 @@ def plane(points: Float, there: complex, back: complex, air: Air) -> Field:
 
 
 def travelling(setting: Setting) -> Answer:
-    """Return their formula for a travelling plane wave, over its first term."""
+    """Return the formula of the paper for a travelling plane wave, divided by its first term."""
     air = Air()
     unit = 1.0 / (4.0 * density(air) * sound_speed(air) ** 2)
     values = incident_lagrangian_as_printed(plane(np.linspace(0.0, 0.01, 50), 1.0, 0.0, air), air, HZ) / unit
@@ -79,7 +79,7 @@ def travelling(setting: Setting) -> Answer:
 
 
 def at_wall(setting: Setting) -> Answer:
-    """Return their formula for the total field at a rigid wall, over <p_i^2>/(rho c^2)."""
+    """Return the formula of the paper for the total field at a rigid wall, divided by <p_i^2>/(rho c^2)."""
     air = Air()
     unit = 1.0 / (2.0 * density(air) * sound_speed(air) ** 2)
     value = incident_lagrangian_as_printed(plane(np.zeros(1), 1.0, 1.0, air), air, HZ)[0] / unit
@@ -105,7 +105,7 @@ def total_over_incident(setting: Setting) -> Answer:
 
 
 def level(setting: Setting) -> Answer:
-    """Return the level of a plane wave with 12 Pa on a rigid wall, 2 <p_i^2>/(rho c^2), in their air."""
+    """Return the level of a plane wave with 12 Pa, 2 <p_i^2>/(rho c^2), on a rigid wall, in the air of the paper."""
     rms = math.sqrt(0.5 * LEVEL_PA * RHO * SPEED**2)
     found = focal_sound()
     at_focus = found.peak_Pa * math.sqrt(0.5 * LEVEL_PA / found.arp_Pa[0])

@@ -28,7 +28,7 @@ DOMINANT_HZ = (100.0, 500.0)
 
 
 def banded(setting: Setting, case: Case, value: Callable[[Case], float]) -> tuple[float, float] | None:
-    """Return least and largest value with moduli at their ends; in quick runs only for base readings."""
+    """Return the smallest and the largest value with moduli at their ends. In quick runs only for base readings."""
     if setting.control or (setting.quick and not at_base(setting)):
         return None
     found = [value(one) for one in (case, *ends(case))]
@@ -54,7 +54,7 @@ def step_peak(case: Case, probe: Probe, start: Stimulus = "step") -> float:
 
 
 def traced(number: Callable[[Trace], float], through_vibrometer: bool) -> Compute:
-    """Return the answer from a number of the trace of the step."""
+    """Return the answer function for a number of the trace of the step."""
 
     def compute(setting: Setting) -> Answer:
         def trace(case: Case) -> Trace:
@@ -134,7 +134,7 @@ def diameter(through_vibrometer: bool) -> Compute:
 
 
 def dominant(setting: Setting) -> Answer:
-    """Return the largest line of the step's spectrum at the middle, through the vibrometer."""
+    """Return the largest line of the spectrum of the step in the centre, through the vibrometer."""
 
     def line(case: Case) -> float:
         trace = measured(case, "step", probe_of(setting))

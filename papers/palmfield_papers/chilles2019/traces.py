@@ -1,4 +1,4 @@
-"""Compute displacement over time at the observer, raw or through the vibrometer, and windows of the paper's numbers."""
+"""Compute displacement over time at the observer, raw or through the vibrometer, and windows of the numbers."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -29,7 +29,7 @@ UM = 1e6
 
 @dataclass(frozen=True)
 class Trace:
-    """A displacement [um] over evenly spaced times [s], both (t,), positive out of the slab; error: numerical [um]."""
+    """A displacement [um] over evenly spaced times [s], both (t,), positive outward. error: numerical error [um]"""
 
     times_s: Float
     values: Float
@@ -41,7 +41,11 @@ class Trace:
 
 
 def vibrometer(probe: Probe, rate_Hz: float = SAMPLING_HZ) -> Vibrometer:
-    """Section III.C and D: 45 degrees, high-pass of 50 Hz on the velocity, integrated, divided by sin 45 degrees."""
+    """Return the vibrometer of sections III.C and D.
+
+    It is at 45 degrees, with a high-pass of 50 Hz on the velocity. The velocity is integrated and divided by sin 45
+    degrees.
+    """
     return Vibrometer(
         incidence_deg=probe.incidence_deg,
         azimuth_deg=probe.azimuth_deg,
@@ -55,7 +59,7 @@ def vibrometer(probe: Probe, rate_Hz: float = SAMPLING_HZ) -> Vibrometer:
 
 
 def raw(case: Case, stimulus: Stimulus) -> Trace:
-    """Return the vertical displacement over the 200 ms of the simulation in the paper."""
+    """Return the vertical displacement during the 200 ms of the simulation in the paper."""
     run = at_observer(case, stimulus)
     times = np.arange(round(STIMULUS_S * SAMPLING_HZ) + 1) / SAMPLING_HZ
     values = UM * case.level_Pa * sampled(run.motion.times_s, run.motion.displacement_m[:, 0, 2], times)
@@ -63,7 +67,7 @@ def raw(case: Case, stimulus: Stimulus) -> Trace:
 
 
 def measured(case: Case, stimulus: Stimulus, probe: Probe) -> Trace:
-    """Return the vibrometer reading at the observer, over 256 ms."""
+    """Return the vibrometer reading at the observer during 256 ms."""
     times, values, error = _recorded(replace(case, level_Pa=1.0), stimulus, probe)
     scale = UM * case.level_Pa
     return Trace(times, scale * values, scale * error)
@@ -71,7 +75,7 @@ def measured(case: Case, stimulus: Stimulus, probe: Probe) -> Trace:
 
 @cache
 def _recorded(case: Case, stimulus: Stimulus, probe: Probe) -> tuple[Float, Float, float]:
-    """Return times, reading per pascal [m], and its error from solver and integration of sampled velocities."""
+    """Return times, reading per pascal [m], and its error from the solver and the integration of velocities."""
     run, settings = at_observer(case, stimulus), vibrometer(probe)
     record = vibrometer_record(run.motion, settings)
     times, values = record["time"].values, record.values[:, 0]
@@ -88,13 +92,13 @@ def _recorded(case: Case, stimulus: Stimulus, probe: Probe) -> tuple[Float, Floa
 
 @cache
 def fem_window(name: str, stimulus: Stimulus) -> Window:
-    """Return a value of reading chilles_window_fem as times [s]."""
+    """Return the time window [s] for a value of reading chilles_window_fem."""
     return None if name == "0-200 ms" else _last(stimulus)
 
 
 @cache
 def measured_window(name: str, stimulus: Stimulus) -> Window:
-    """Return a value of reading chilles_window as times [s]."""
+    """Return the time window [s] for a value of reading chilles_window."""
     if name == "0-256 ms":
         return None
     return (0.0, STIMULUS_S) if name == "0-200 ms" else _last(stimulus)

@@ -1,4 +1,4 @@
-"""Rows H2 to H12 and H18: from a target radiation pressure through duty cycles to the pressure in the focus."""
+"""Rows H2 to H12 and H18: from a target radiation pressure, through duty cycles, to the pressure in the focus."""
 
 import math
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from palmfield_papers.hasegawa2018.units import FORCE_DEPTH_M, ROOM, Units, arra
 FREQUENCIES_HZ = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0, 500.0, 1000.0)
 DEVICE_EXPONENT = 1.5
 PHASES_DEG = (0.0, 45.0, 90.0)
-"""Phases of the sine when a packet is sent: at 1000 Hz there are two packets per period, so the phase matters."""
+"""Phases of the sine at which a packet is sent. At 1000 Hz there are two packets per period, so the phase matters."""
 SETTLED_S = 0.05
 """Time after which transients of the resonators have decayed [s]."""
 CLOCK_HZ = 25.6e6
@@ -32,11 +32,12 @@ HOP_S = 40e-9
 
 @dataclass(frozen=True)
 class Chain:
-    """Chain from packets to the focus. Hashable, so that runs can be cached.
+    """Processing chain from packets to the focus. Hashable, so that runs can be cached.
 
-    quality: of the transducers; phase_deg: of the sine at the first packet
-    design: exponent for which duty cycles are computed; flight: whether the flight time from the four units
-        to the focus at 200 mm is included
+    quality: quality factor of the transducers
+    phase_deg: phase of the sine at the first packet
+    design: exponent for which duty cycles are computed
+    flight: whether to include the flight time from the four units to the focus at 200 mm
     """
 
     quality: float = 25.0
@@ -53,7 +54,7 @@ def packets(target: Float, design: float) -> Float:
 def emitted(packet_widths: Float, quality: float, exponent: float = DEVICE_EXPONENT) -> Complex:
     """Return the emission in each carrier period relative to full drive, shape (20 k,).
 
-    Units interpolate the duty to the carrier rate and round it to ticks; transducers have a resonance.
+    The units interpolate the duty to the carrier rate and round it to ticks. The transducers have a resonance.
     """
     duty = np.rint(HASEGAWA_TICKS * duty_course(packet_widths)) / HASEGAWA_TICKS
     commanded = relative_pressure(duty, exponent)[:, None].astype(complex)
@@ -62,7 +63,7 @@ def emitted(packet_widths: Float, quality: float, exponent: float = DEVICE_EXPON
 
 @cache
 def flights() -> tuple[Float, Float]:
-    """Return delays of the sound of four units at the focus in carrier periods, and their weights, of sum 1."""
+    """Return the delays of the sound of four units at the focus [carrier periods], and their weights of sum 1."""
     array = array_of(Units(4))
     distance = np.linalg.norm(array.positions - [0.0, 0.0, FORCE_DEPTH_M], axis=1)
     weight = 1.0 / distance
@@ -72,7 +73,10 @@ def flights() -> tuple[Float, Float]:
 
 @cache
 def focal_envelope(frequency_Hz: float, chain: Chain) -> Complex:
-    """Return the envelope in the focus under a sinusoidal radiation pressure, relative to full drive: whole periods."""
+    """Return the envelope in the focus for a sinusoidal radiation pressure, over whole periods.
+
+    It is relative to full drive.
+    """
     periods = max(1, round(0.2 * frequency_Hz))
     length = round(CARRIER_HZ * periods / frequency_Hz)
     before = math.ceil(SETTLED_S * PACKET_RATE_HZ)
@@ -95,7 +99,7 @@ def rms_pressure_dB(envelope: Complex) -> float:
 
 
 def rms_arp_dB(envelope: Complex) -> float:
-    """Return the level of the varying part; a microphone does not measure the steady part."""
+    """Return the level of the varying part. A microphone does not measure the steady part."""
     square = np.abs(envelope) ** 2
     return 20.0 * math.log10(float(np.std(square)))
 
@@ -120,7 +124,7 @@ def levels_dB(definition: str, chain: Chain) -> Float:
 
 
 def coarser_spread_dB(quality: float, phase_deg: float) -> float:
-    """Return the spread of the rms pressure from every second carrier period."""
+    """Return the spread of the rms pressure if only every second carrier period is used."""
     chain = Chain(quality, phase_deg)
     return float(np.ptp([rms_pressure_dB(focal_envelope(f, chain)[::2]) for f in FREQUENCIES_HZ]))
 
@@ -128,7 +132,7 @@ def coarser_spread_dB(quality: float, phase_deg: float) -> float:
 def spread_dB(
     definition: str, quality: float, *, flight: bool = False, phases: tuple[float, ...] = PHASES_DEG
 ) -> float:
-    """Return the largest minus the smallest level, for the phase with the largest spread."""
+    """Return the largest minus the smallest level, for the phase at which this spread is largest."""
     return max(float(np.ptp(levels_dB(definition, Chain(quality, phase, flight=flight)))) for phase in phases)
 
 
@@ -162,7 +166,7 @@ def flatness(setting: Setting) -> Answer:
 
 @cache
 def continuous(frequency_Hz: float, quality: float, count: int = 4096) -> Complex:
-    """Return the envelope over one period for a target (1 + sin)/2 without delay, after the resonance."""
+    """Return the envelope over one period after the resonance, for a target (1 + sin)/2 without delay."""
     target = 0.5 + 0.5 * np.sin(2.0 * np.pi * np.arange(count) / count)
     lines = np.fft.ifft(np.sqrt(target))
     # e^{-i w t}: line n of the inverse transform is the component of the envelope at n f
@@ -171,7 +175,7 @@ def continuous(frequency_Hz: float, quality: float, count: int = 4096) -> Comple
 
 
 def continuous_loss_dB(what: str, quality: float) -> float:
-    """Return the loss over FREQUENCIES_HZ, lowest to highest; what: "pressure" (rms) or "component" (at f)."""
+    """Return the loss from the lowest to the highest of FREQUENCIES_HZ. what: "pressure" (rms) or "component" (at f)"""
 
     def level(frequency: float) -> float:
         square = np.abs(continuous(frequency, quality)) ** 2
@@ -208,7 +212,7 @@ def ticks_of_a_period(setting: Setting) -> Answer:
 
 
 def first_harmonic(setting: Setting) -> Answer:
-    """Return the largest distance of the first harmonic of the pulse train from sin(pi d), relative to the largest."""
+    """Return the largest deviation of the first harmonic of the pulse train from sin(pi d), relative to the largest."""
     width = np.arange(0, HASEGAWA_TICKS // 2 + 1)
     trains = waveform(np.zeros(len(width), int), width, HASEGAWA_TICKS)
     harmonic = np.abs(np.fft.fft(trains, axis=1)[:, 1])
@@ -229,7 +233,7 @@ def fixed_edge(setting: Setting) -> Answer:
 
 
 def inverse_law(setting: Setting) -> Answer:
-    """Return the largest distance of sin^2(pi d) from the target pressure with the corrected inverse."""
+    """Return the largest deviation of sin^2(pi d) from the target pressure, with the corrected inverse."""
     target = np.linspace(0.0, 1.0, 101)
     found = relative_pressure(duty_cycle(np.sqrt(target))) ** 2
     return Answer(float(np.abs(found - target).max()), error=1e-12, note="as corrected, sin^2(pi d) less the wanted")
@@ -249,7 +253,7 @@ PRINTED_A1 = {10e6: -4.9939, 2e6: -4.9695}
 
 
 def cut_off(rate_Hz: float) -> Compute:
-    """Return the cut-off of the Butterworth low-pass of order 5 with the printed first coefficient [kHz]."""
+    """Return the cut-off frequency of the Butterworth low-pass of order 5 with the printed first coefficient [kHz]."""
 
     def off(cut: float, which: int, printed: float) -> float:
         return float(butter(5, cut, fs=rate_Hz)[0 if which == 0 else 1][which] - printed)
@@ -269,7 +273,7 @@ def cut_off(rate_Hz: float) -> Compute:
 
 
 def stimulus_peak(setting: Setting) -> Answer:
-    """Return the largest force of eqs 8 and 9 at beta = 1, over the largest force."""
+    """Return the largest force of eqs 8 and 9 at beta = 1, divided by the largest force."""
 
     def largest(amplitude: float) -> float:
         times = np.linspace(0.0, 1.0, 20_001)

@@ -35,7 +35,7 @@ from palmfield_papers.hasegawa2018.units import (
 
 JIG_M = 0.012
 DRIFT_PPM, SKEW_S = 20.0, 1e-6
-"""Largest difference of free-running clocks of units (assumed), and delay of synchronised ones (section 3.2)."""
+"""Largest frequency difference of free-running clocks (assumed), and delay of synchronised clocks (section 3.2)."""
 GRID_M = 1e-3
 THRESHOLD_DB = -34.0
 PRINTED_JIG_N, PRINTED_ALL_N = 20e-3, 40.8e-3
@@ -85,7 +85,10 @@ def pressure_ratio(count: int, depth_m: float) -> Compute:
 
 
 def lossy_ratio(count: int, depth_m: float, drive: float, far: bool) -> Compute:
-    """Return the ratio of the carrier minus losses to harmonics up to the reference or, if `far`, up to both depths."""
+    """Return the pressure ratio of the carrier, with losses to harmonics subtracted.
+
+    The losses are those up to the reference or, if `far`, up to both depths.
+    """
 
     def compute(setting: Setting) -> Answer:
         units = units_of(setting, count)
@@ -98,7 +101,7 @@ def lossy_ratio(count: int, depth_m: float, drive: float, far: bool) -> Compute:
 
 
 def over_200(count: int, depth_m: float, directivity: str) -> Compute:
-    """Return the answer of a check at a point."""
+    """Return the answer function for the pressure relative to 200 mm, which is checked at a point."""
 
     def compute(setting: Setting) -> Answer:
         units = Units(count, directivity)
@@ -114,7 +117,7 @@ def over_200(count: int, depth_m: float, directivity: str) -> Compute:
 
 
 def halved_depth(setting: Setting) -> Answer:
-    """Return the depth of half the pressure at 200 mm, of one unit with the table [mm]."""
+    """Return the depth at which the pressure is half of that at 200 mm, for one unit with the table [mm]."""
 
     def depth_mm(units: Units, step_m: float, receiver: str = "point") -> float:
         depths = np.arange(0.2, 1.2001, step_m)
@@ -142,9 +145,11 @@ def halved_depth(setting: Setting) -> Answer:
 def force(
     units: Units, edge_m: float, depth_m: float = FORCE_DEPTH_M, device: str = "cpu", focus_m: float | None = None
 ) -> tuple[float, float]:
-    """Return [metrics.force] at full drive [N], and its value with twice the spacing; alpha 2 on the incident field.
+    """Return [metrics.force] at full drive [N], and its value with twice the spacing.
 
-    focus_m: depth of the focus, None for that of the plate
+    The law is alpha 2, incident field.
+
+    focus_m: depth of the focus; None for that of the plate
     """
     drive = drive_of(units, depth_m if focus_m is None else focus_m)
 
@@ -158,7 +163,7 @@ def force(
 
 @cache
 def force_by_default_law(units: Units, edge_m: float) -> float:
-    """Return the force by the Lagrangian of the total field on a rigid wall [N]."""
+    """Return the force by the Lagrangian law of the total field on a rigid wall [N]."""
     drive, evaluator = drive_of(units, FORCE_DEPTH_M), evaluator_of(units, "cpu")
 
     def arp_at(points: Float, normals: Float) -> Float:
@@ -169,7 +174,7 @@ def force_by_default_law(units: Units, edge_m: float) -> float:
 
 
 def share(units: Units, edge_m: float, device: str = "cpu") -> tuple[float, float]:
-    """Return the force on the jig over that on the reflector, and its error."""
+    """Return the force on the jig divided by that on the reflector, and the error of this ratio."""
     (jig, jig_coarse), (plate, plate_coarse) = (force(units, edge, FORCE_DEPTH_M, device) for edge in (JIG_M, edge_m))
     value = jig / plate
     error = (abs(jig - jig_coarse) / jig + abs(plate - plate_coarse) / plate) / 3.0
@@ -206,7 +211,7 @@ def force_ratio_on(edge: float) -> Compute:
 
 
 def amplitude_of_forces(directivity: str) -> Compute:
-    """Return the p0 for which both printed forces differ by the same factor, in opposite directions [Pa m]."""
+    """Return the p0 with which both printed forces differ by the same factor, in opposite directions [Pa m]."""
 
     def compute(setting: Setting) -> Answer:
         units = Units(4, directivity)
@@ -242,7 +247,8 @@ def amplitude_of_forces(directivity: str) -> Compute:
 def peaks_mm(units: Units, rounded: bool, step_m: float = 0.1e-3, delays: int | None = None) -> tuple[float, ...]:
     """Return the position of the largest pressure along x for each command of STEPS_M [mm].
 
-    rounded: to ticks and packets of the board; delays: number of delays per period otherwise
+    rounded: whether to round to ticks and packets of the board
+    delays: number of delays per period if not rounded
     """
     board = BOARD.sized(len(array_of(units)))
     line = np.arange(LINE_M[0], LINE_M[-1] + 0.5 * step_m, step_m)
@@ -330,14 +336,17 @@ def reach(setting: Setting) -> Answer:
 
 @cache
 def _of_units(units: Units) -> Complex:
-    """Return the pressure of each unit at the focus of all [Pa]."""
+    """Return the pressure of each unit at the common focus [Pa]."""
     array, drive = array_of(units), drive_of(units, FORCE_DEPTH_M)
     mine = np.arange(len(array)) // TRANSDUCERS == np.arange(units.count)[:, None]
     return np.array([pressure64(np.array([[0.0, 0.0, FORCE_DEPTH_M]]), array, drive * one, ROOM)[0][0] for one in mine])
 
 
 def level_of_units(units: Units, since_sync_s: Float) -> Float:
-    """Return the pressure at the focus over that of synchronised units, by time since synchronisation [s]."""
+    """Return the pressure at the focus relative to that of synchronised units.
+
+    since_sync_s: time since synchronisation [s]
+    """
     board = replace(BOARD.sized(units.count * TRANSDUCERS), clock_drift_ppm=DRIFT_PPM, skew_s=SKEW_S)
     late = np.array([board.unit_delays(float(one)) for one in since_sync_s])
     parts = _of_units(units)
@@ -345,7 +354,7 @@ def level_of_units(units: Units, since_sync_s: Float) -> Float:
 
 
 def synchronised(setting: Setting) -> Answer:
-    """H6d."""
+    """Return the answer of entry H6d, on synchronised units."""
     units = units_of(setting)
     times = np.linspace(0.0, 1.0, 4001)
     set_often = float(level_of_units(units, times % (1.0 / PACKET_RATE_HZ)).mean())
@@ -361,7 +370,7 @@ def synchronised(setting: Setting) -> Answer:
 
 
 def extent(count: int) -> Compute:
-    """Return the width over the outer rims of transducers [mm]; the height is shown."""
+    """Return the width over the outer rims of transducers [mm]. The height is only shown."""
 
     def compute(setting: Setting) -> Answer:
         positions = array_of(Units(count)).positions
@@ -384,7 +393,7 @@ def ratio_of(change: str | Units, count: int, depth_m: float) -> Compute:
 
 
 def ratio_at_200(count: int, depth_m: float) -> Compute:
-    """Return the largest pressure near the focus over that at 200 mm, as in a scan along the axis."""
+    """Return the largest pressure near the focus divided by that at 200 mm, as in a scan along the axis."""
 
     def compute(setting: Setting) -> Answer:
         units = units_of(setting, count)

@@ -1,7 +1,8 @@
-"""Rows H19 to H21: the thresholds that the project's observers predict for Hasegawa and Shinoda's stimulus.
+"""Rows H19 to H21: the thresholds that palmfield's observers predict for the stimulus of Hasegawa and Shinoda.
 
-Configuration hasegawa.observer and [metrics.threshold] of tolerances.toml: a sinusoidal or square force on the palm
-with a steady part, detected when an observer reaches 1. Outside the table of an observer there is no result.
+See configuration hasegawa.observer and [metrics.threshold] of tolerances.toml. A sinusoidal or square force with a
+steady part acts on the palm; it is detected when an observer reaches 1. Outside the frequency range of an observer
+there is no result.
 """
 
 import math
@@ -23,14 +24,14 @@ SINES_Hz = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0, 200.0, 300.0, 500.0, 1000.0)
 RECTANGLES_Hz = (10.0, 50.0, 100.0)
 BEST_Hz, SLOW_Hz, SLOWEST_FELT_Hz = 200.0, 10.0, 60.0
 FULL_N = 2e-3 * 9.80665
-"""0 dB of Figure 14: 2 gf."""
+"""Force at 0 dB of Figure 14: 2 gf [N]."""
 PRINTED_N = 0.4e-3
 THIN_M = 0.004
-"""Depth of a finger pulp [m]: the smallest depth to bone in the sources of this project."""
+"""Depth of a finger pulp [m]. It is the smallest depth to bone in the sources of this project."""
 PLATE_M = 0.4
 """Base value of the reading `hasegawa_plate`."""
 PERSONS_dB = 10.0
-"""Half of the upper end of the printed spread of 15 to 20 dB, as a band of the threshold of one observer."""
+"""Half of the upper end of the printed spread of 15 to 20 dB. It is used as band of the threshold of one observer."""
 NAMED = dict(zip(book().axes["observers"], ("afferent_human", "morioka_griffin_2006", "bolanowski_1988"), strict=True))
 DEPTHS_M = dict(zip(book().axes["hasegawa_palm"], (0.01, 0.02), strict=True))
 AS_PRINTED = book().axes["hasegawa_eq8"][0]
@@ -38,15 +39,15 @@ LOWER_BOUND = "The hand-grip table is that of a large contact, so that its thres
 
 
 def sine_N(observer: Observer, frequency_Hz: float, depth_m: float, material: str = "preset") -> float:
-    """Return the peak amplitude of the sinusoidal force at threshold [N]; NaN outside the observer's table."""
+    """Return the peak amplitude of the sinusoidal force at threshold [N]; NaN outside the observer's range."""
     (motion,) = motion_m_per_N((frequency_Hz,), depth_m, material)
     return float(threshold_m(observer, frequency_Hz)) / motion
 
 
 def rectangle_N(observer: Observer, frequency_Hz: float, depth_m: float, material: str = "preset") -> float:
-    """Return half the height of a square wave of the force at threshold [N], by its odd harmonics inside the table.
+    """Return half the height of a square-wave force at threshold [N].
 
-    NaN where no harmonic lies inside the table.
+    It is computed from the odd harmonics inside the frequency range of the observer. It is NaN without such a harmonic.
     """
     last = observer.frequency_Hz[-1]
     orders = np.arange(1, math.floor(last / frequency_Hz) + 1, 2)
@@ -70,7 +71,7 @@ def _chosen(setting: Setting) -> tuple[Observer, float]:
 
 @cache
 def _error_dB(frequencies_Hz: tuple[float, ...], depth_m: float) -> float:
-    """Return the largest change of a level if reach and wavenumbers of the motion are doubled."""
+    """Return the largest change of a level if the reach and the wavenumbers of the motion are doubled."""
     coarse, fine = (motion_m_per_N(frequencies_Hz, depth_m, fine=fine) for fine in (False, True))
     return float(np.abs(20.0 * np.log10(coarse / fine)).max())
 
@@ -80,7 +81,10 @@ def _inside(observer: Observer) -> tuple[float, ...]:
 
 
 def best_frequency(setting: Setting) -> Answer:
-    """H19-H21a. The margin is the additional level that both neighbours of 200 Hz need, or minus that of 200 Hz."""
+    """Return the answer of entry H19-H21a.
+
+    The margin is the additional level that both neighbours of 200 Hz need, or the negative one of 200 Hz.
+    """
     observer, depth = _chosen(setting)
     frequencies = _inside(observer)
     levels = [relative_dB(sine_N(observer, f, depth)) for f in frequencies]
@@ -100,7 +104,7 @@ def best_frequency(setting: Setting) -> Answer:
 
 
 def threshold_level(setting: Setting) -> Answer:
-    """H19-H21b."""
+    """Return the answer of entry H19-H21b."""
     observer, depth = _chosen(setting)
     peak_to_peak = setting.reading("hasegawa_eq8") != AS_PRINTED
     own = sine_N(observer, BEST_Hz, depth)
@@ -147,7 +151,7 @@ def _by_all_force(setting: Setting) -> Answer:
 
 
 def _by_small_area(setting: Setting) -> Answer:
-    """Apply the ratio from Bolanowski's law of areas to the observer of the setting."""
+    """Apply the ratio of Bolanowski's area law to the observer of the setting."""
     observer, depth = _chosen(setting)
     summing = OBSERVERS["bolanowski_1988"]
     area = moved_area_m2(BEST_Hz, depth)
@@ -160,7 +164,7 @@ def _by_small_area(setting: Setting) -> Answer:
 
 
 def _by_window(setting: Setting) -> Answer:
-    """Apply temporal summation to the sine in its Hann window, by the law of an observer that has one."""
+    """Apply temporal summation to the sine in its Hann window. The law is that of an observer with summation."""
     observer, depth = _chosen(setting)
     temporal = OBSERVERS["bolanowski_1988"].temporal
     assert temporal is not None
@@ -176,12 +180,12 @@ def _other(force_N: float, setting: Setting, note: str = "") -> Answer:
 
 
 def _eq8(level_dB: float, peak_to_peak: bool) -> float:
-    """With the factor 1/2 the printed 0.4 mN is peak to peak; the compared value is too."""
+    """Return the answer for eq. 8. With its factor 1/2, the printed 0.4 mN is peak to peak, as the compared value."""
     return level_dB + (20.0 * math.log10(2.0) if peak_to_peak else 0.0)
 
 
 def rectangle_against_sine(setting: Setting) -> Answer:
-    """H19-H21e."""
+    """Return the answer of entry H19-H21e: the threshold of a square wave relative to that of a sine."""
     observer, depth = _chosen(setting)
     if math.isnan(sine_N(observer, SLOW_Hz, depth)):
         return Answer(None, note=f"{observer.name} has no threshold at {SLOW_Hz:g} Hz.")
@@ -206,7 +210,7 @@ def rectangle_against_sine(setting: Setting) -> Answer:
 
 
 def one_unit_slow(setting: Setting, *, lower_dB: float = 0.0) -> Answer:
-    """H19-H21p. lower_dB: reduction of the level, for causes"""
+    """Return the answer of entry H19-H21p. lower_dB: reduction of the level, for causes"""
     observer, depth = _chosen(setting)
     slow = [f for f in _inside(observer) if f < SLOWEST_FELT_Hz]
     if not slow:
@@ -233,14 +237,17 @@ def _no_value(reason: str) -> Compute:
 
 
 def _lowest_level(setting: Setting) -> Answer:
-    """H19-H21k: value of the printed beta."""
+    """Return the answer of entry H19-H21k: the printed value of beta."""
     return Answer(
         20.0 * math.log10(0.02), error=0.0, note="20 log10(0.02); section 7 prints -35 dB.", shown={"as printed": -35.0}
     )
 
 
 def _meaning(setting: Setting) -> Answer:
-    """H19-H21l: the level of the printed force in both meanings, by the observer of this paper."""
+    """Return the answer of entry H19-H21l.
+
+    It is the level of the printed force in both of its meanings, for the observer of this paper.
+    """
     return Answer(
         None,
         note="Words: an amplitude of 0.4 mN as printed, one of 0.2 mN with the factor 1/2 that eq. 8 lacks. Row "
@@ -285,12 +292,12 @@ CAUSES: dict[str, tuple[Cause, ...]] = {
 
 
 def _sines(setting: Setting) -> Figure:
-    """Figure 14, above."""
+    """Draw the upper part of Figure 14, for sines."""
     return _curves(SINES_Hz, sine_N, "sine")
 
 
 def _rectangles(setting: Setting) -> Figure:
-    """Figure 14, below."""
+    """Draw the lower part of Figure 14, for square waves."""
     return _curves(RECTANGLES_Hz, rectangle_N, "rectangle")
 
 

@@ -1,8 +1,8 @@
-"""Compute the motion of the palm under the focus of four units: amplitude at the centre per newton, by frequency.
+"""Compute the motion of the palm under the focus of four units: amplitude in the centre per newton, by frequency.
 
-Only the angular mean of the radiation pressure moves the centre of a flat infinite layer, so the integral
-over wavenumbers is exact: u = integral of C(k) P(k) k dk, P the Hankel transform of that mean, C the layer's compliance
-(`palmfield.skin.analytic.layer_oracle`).
+Only the angular mean of the radiation pressure moves the centre of a flat infinite layer. So an integral over
+wavenumbers is exact: u = integral of C(k) P(k) k dk. P is the Hankel transform of the angular mean, and C is the
+compliance of the layer (`palmfield.skin.analytic.layer_oracle`).
 """
 
 import math
@@ -22,13 +22,16 @@ from palmfield.types import Air, Array, Float
 
 DEPTH_M = 0.2
 JIG_M = 0.012
-"""Edge of the square on which the 20 mN of the paper were measured."""
+"""Edge of the square on which the paper measured 20 mN [m]."""
 REACH_M = 0.05
-"""Radius of the radiation pressure that is included [m], about half the width of a palm; doubled in the finer run."""
+"""Radius up to which the radiation pressure is included [m], about half the width of a palm.
+
+The finer run doubles it.
+"""
 SHORTEST_rad_m = 1300.0
-"""Largest wavenumber; those of the ARP end at 2 k sin(42 degrees) = 980 rad/m."""
+"""Largest wavenumber. The wavenumbers of the ARP end at 2 k sin(42 degrees) = 980 rad/m."""
 SPACINGS = 400
-"""Number of points along the edge of a plate: 1 mm apart on the largest."""
+"""Number of points along the edge of a plate. On the largest plate they are 1 mm apart."""
 MATERIALS = ("preset", "softest", "stiffest")
 
 
@@ -59,8 +62,10 @@ def force_N(edge_m: float) -> float:
 
 @cache
 def ring_mean(reach_m: float, rings: int) -> tuple[Float, Float, Float]:
-    """Return radii [m], quadrature weights [m], and angular mean of the ARP per newton on the jig
-    [Pa/N], each of shape (rings,)."""
+    """Return radii [m], quadrature weights [m], and the angular mean of the ARP per newton on the jig [Pa/N].
+
+    Each has shape (rings,).
+    """
     nodes, shares = np.polynomial.legendre.leggauss(rings)
     radii = 0.5 * reach_m * (1.0 + nodes)
     count = 4 * math.ceil(SHORTEST_rad_m * reach_m / 4.0) + 16
@@ -103,7 +108,7 @@ def moved_area_m2(frequency_Hz: float, thickness_m: float) -> float:
 
 @cache
 def _spectrum(fine: bool) -> tuple[Float, Float, Float]:
-    """Return wavenumbers, weights of a quadrature over them, and the Hankel transform of `ring_mean` [m2 Pa/N]."""
+    """Return wavenumbers, quadrature weights over them, and the Hankel transform of `ring_mean` [m2 Pa/N]."""
     times = 2 if fine else 1
     radii, shares, pressure = ring_mean(times * REACH_M, times * 96)
     nodes, weights = np.polynomial.legendre.leggauss(8)

@@ -142,7 +142,7 @@ def pulse_width_law(setting: Setting) -> Figure:
 
 
 def saw_waves(setting: Setting) -> Figure:
-    """Draw a saw wave of 50 Hz designed for three exponents on a device whose exponent is 1.5."""
+    """Draw a saw-tooth wave of 50 Hz that is designed for three exponents, on a device with exponent 1.5."""
     rate, periods = 50.0, 6
     times = np.arange(0, periods / rate, 1.0 / PACKET_RATE_HZ)
     target = (times * rate) % 1.0
@@ -182,7 +182,7 @@ def flatness_curves(setting: Setting) -> Figure:
 
 
 def beat(setting: Setting) -> Figure:
-    """Draw the pressure in the focus over time with drifting clocks, synchronised every 500 us or never."""
+    """Draw the pressure in the focus over time if the clocks drift. They are synchronised every 500 us or never."""
     times = np.linspace(0.0, 2.0, 801)
     figure = Figure(figsize=(6.5, 2.8), layout="constrained")
     panel = figure.subplots()
@@ -197,7 +197,10 @@ def beat(setting: Setting) -> Figure:
 
 
 def smoothing(setting: Setting) -> Figure:
-    """Draw the spectrum of the pressure envelope under a sine of 100 Hz: duty held for 20 periods, and filtered."""
+    """Draw the spectrum of the pressure envelope for a sine of 100 Hz: with constant and with filtered duty.
+
+    Constant duty stays for 20 periods.
+    """
     times = np.arange(0.0, 1.0, 1.0 / PACKET_RATE_HZ)
     duty = packets(0.5 + 0.5 * np.sin(2.0 * np.pi * 100.0 * times), 1.5) / HASEGAWA_TICKS
     ratio = round(CARRIER_HZ / PACKET_RATE_HZ)

@@ -1,4 +1,4 @@
-"""The pulses of the paper's units: their trains, and the duty smoothed to the carrier's rate."""
+"""Pulses of the units of the paper: their trains, and the duty cycle smoothed to the carrier rate."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,13 +27,14 @@ def waveform(start: ArrayLike, width: ArrayLike, ticks: int) -> Float:
 def resample(
     frames: ArrayLike, frame_rate_Hz: float, *, carrier_Hz: float = 40e3, cutoff_Hz: float | None = None, span: int = 8
 ) -> NDArray[np.inexact]:
-    """Resample frames from the control rate to one value a carrier period by an FIR low-pass.
+    """Resample frames from the control rate to one value per carrier period by an FIR low-pass.
 
-    Constant frames cause steps in the envelope, audible at multiples of the frame rate. Hasegawa & Shinoda 2018 smooth
-    the duty in this way (their filter is not printed; this one is a Kaiser-windowed sinc, about 60 dB).
+    Constant frames cause steps in the envelope, which are audible at multiples of the frame rate. Hasegawa & Shinoda
+    2018 smooth the duty cycle in this way. They do not print their filter; this one is a Kaiser-windowed sinc with
+    about 60 dB attenuation.
 
     frames: duty, amplitude or drive by frame, real or complex, shape (frames, ...)
-    cutoff_Hz: -6 dB; None is half the frame rate
+    cutoff_Hz: frequency with -6 dB; None is half the frame rate
     span: length of the filter in frames; its delay of span/2 frames on a real device is removed here
     Returns shape (frames * carrier_Hz/frame_rate_Hz, ...): row j is at j/carrier_Hz, frame k at k/frame_rate_Hz. The
         first and last frame are continued beyond the ends. The result may overshoot: clip a duty to 0..1/2.

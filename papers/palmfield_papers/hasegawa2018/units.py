@@ -1,4 +1,4 @@
-"""Compute the sound of the units of Hasegawa & Shinoda 2018, and the reading of an 1/8-inch microphone."""
+"""Compute the sound of the units of Hasegawa & Shinoda 2018, and the reading of a 1/8-inch microphone."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -27,7 +27,8 @@ TABLE = "measured table of the T4010A1"
 class Units:
     """Active units. Hashable, so that runs can be cached.
 
-    count: 1 or 4; directivity: "piston", of radius_m, "table" or "point"
+    count: 1 or 4
+    directivity: "piston" (of radius_m), "table" or "point"
     """
 
     count: int = 4
@@ -36,7 +37,7 @@ class Units:
 
 
 def value_of(setting: Setting, axis: str) -> str:
-    """Return the reading of an axis; its base value if the number does not depend on it."""
+    """Return the reading of an axis. If the number does not depend on the axis, return its base value."""
     return dict(setting.readings).get(axis, book().axes[axis][0])
 
 
@@ -48,7 +49,7 @@ def units_of(setting: Setting, count: int = 4) -> Units:
 
 @cache
 def array_of(units: Units) -> Array:
-    """Return the array with p0 of the layout, on which only the forces depend."""
+    """Return the array with the p0 of the layout. Only the forces depend on p0."""
     array = layout(LAYOUTS[units.count])
     if units.directivity == "table":
         return array
@@ -84,9 +85,9 @@ def head_on(units: Units, point: Float) -> Complex:
 
 @cache
 def focal_pressure(units: Units, depth_m: float, receiver: str = "microphone", faces: bool = False) -> float:
-    """Return [metrics.focal_pressure]: rms pressure at the commanded focal point [Pa].
+    """Return [metrics.focal_pressure]: rms pressure at the commanded focus [Pa].
 
-    receiver: "microphone", mean over its face and its body's response over angle; "face", the mean alone; "point"
+    receiver: "microphone": mean over its face, with the angular response of its body; "face": only the mean; "point"
     faces: whether pistons are sums of points on their faces instead of far fields
     """
     array, point = array_of(units), np.array([0.0, 0.0, depth_m])

@@ -12,16 +12,17 @@ from palmfield.skin.solvers.wedges import static_wedges
 from palmfield_papers.mizushima2024.gel import THICKNESS_M, Gel, compliance, material_of
 
 BONE_M = 0.005
-"""Assumed radius; in the paper it is similar to that of an index finger."""
+"""Assumed radius of the bone [m]. In the paper it is similar to that of an index finger."""
 LENGTH_M = 0.05
 EDGE_M = 1.6e-3, 2.6e-3
 
 
 @cache
 def over_flat(base: BaseKind, refinements: int = 0) -> float:
-    """Return the static displacement at the centre of the ellipse (C0, long axis along the bone), over the flat layer.
+    """Return the static displacement at the centre of the ellipse, divided by that of the flat layer.
 
-    The pressure falls with the square of the cosine to the face, and is 0 on the far side.
+    The gel is C0; the long axis of the ellipse is along the bone. The pressure is proportional to the squared cosine to
+    the face, and is 0 on the far side.
     refinements: number of subdivisions of triangles
     """
     gel, face = Gel("C0", base), BONE_M + THICKNESS_M

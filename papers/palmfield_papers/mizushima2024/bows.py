@@ -14,7 +14,7 @@ from palmfield_papers.entries import book
 from palmfield_papers.piston_faces import as_faces
 
 ROOM = Air(temperature_C=23.0)
-"""Air of section 4: 23 degrees."""
+"""Air of section 4 of the paper: 23 degrees."""
 SPEAKERS = 6
 """Number of speakers of a bow."""
 QUARTER_INCH_M = 6.35e-3
@@ -24,8 +24,9 @@ QUARTER_INCH_M = 6.35e-3
 class Bows:
     """Driven speakers and receiver. Hashable, so that runs can be cached.
 
-    focal_length_m: of the parabola; radius_m: of a speaker's face; coherent: whether the sounds of both bows are
-        coherent
+    focal_length_m: focal length of the parabola
+    radius_m: radius of the face of a speaker
+    coherent: whether the sounds of both bows are coherent
     receiver_m: diameter of the microphone, 0 for a point
     in_phase: whether all speakers have equal phase, instead of phases focused at the focus
     faces: whether speakers are sums of points on their faces (Rayleigh's integral) instead of far fields
@@ -42,7 +43,7 @@ class Bows:
 
 
 def value_of(setting: Setting, axis: str) -> str:
-    """Return the reading of an axis; its base value if the number does not depend on it."""
+    """Return the reading of an axis. If the number does not depend on the axis, return its base value."""
     return dict(setting.readings).get(axis, book().axes[axis][0])
 
 
@@ -61,7 +62,7 @@ LENGTHS = ("mizushima_focal_length", "mizushima_radius")
 
 
 def array_of(bows: Bows) -> Array:
-    """Return speakers of 1 Pa m: the paper does not print their level, and half-widths do not depend on it."""
+    """Return speakers with 1 Pa m. The paper does not print their level, and half-widths do not depend on it."""
     return replace(two_bow("two_bow", bows.focal_length_m, bows.radius_m), p0_Pa_m=1.0)
 
 
@@ -71,7 +72,7 @@ def focus_of(bows: Bows) -> Float:
 
 
 def drives_of(bows: Bows) -> list[Complex]:
-    """Return one drive if pressures add, or a drive for each bow if squares add, each of shape (12,)."""
+    """Return one drive if pressures add, or one drive for each bow if squares add; shape (12,) each."""
     array = array_of(bows)
     drive = np.ones(len(array), complex) if bows.in_phase else focus(array, ROOM, focus_of(bows))
     place = np.arange(len(array)) % SPEAKERS
@@ -85,7 +86,7 @@ def drives_of(bows: Bows) -> list[Complex]:
 def mean_square(bows: Bows, places_m: Float) -> Float:
     """Return the squared pressure amplitude of the microphone reading [Pa2], shape (n,).
 
-    The radiation pressure and its component at the modulation frequency are proportional to it.
+    The radiation pressure, and its component at the modulation frequency, are proportional to this quantity.
     """
     array = array_of(bows)
     microphone = Microphone(diameter_m=bows.receiver_m)

@@ -19,7 +19,7 @@ LAWS = {"mean": lambda m: 1.0 + m**2 / 2.0, "first": lambda m: 2.0 * m, "second"
 
 
 def parts(depth: float) -> dict[str, float]:
-    """Return steady part and components at f and 2f of the radiation pressure, relative to the carrier alone."""
+    """Return the steady part and the components at f and 2f of the radiation pressure, relative to the carrier."""
     keys: dict[str, Any] = {"modulation": "am", "am_quantity": "amplitude", "am_depth": depth, "am_frequency_Hz": 200.0}
     lines = arp_lines(StimulusConfig(**keys))
     assert lines is not None and lines.first is not None and lines.second is not None
@@ -28,7 +28,7 @@ def parts(depth: float) -> dict[str, float]:
 
 
 def exponent_of(x: Float, y: Float) -> float:
-    """Return the slope of a line through the logarithms."""
+    """Return the slope of a line through the logarithms of x and y."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
@@ -65,7 +65,7 @@ def steady_part(setting: Setting) -> Answer:
 
 
 def course_over_frequency(frequencies_Hz: Float, quality: float) -> Float:
-    """Return the component at f of the radiation pressure over that at 0 Hz, for speakers driven at resonance."""
+    """Return the component of the radiation pressure at f relative to that at 0 Hz, for speakers at resonance."""
     pole = Pole(40e3, quality)
     upper, lower = (envelope_response(sign * frequencies_Hz, pole)[:, 0] for sign in (1.0, -1.0))
     # The square of 1 + (m/2)(H+ e^{-iwt} + H- e^{iwt}) has m |H+ + conj(H-)| at f

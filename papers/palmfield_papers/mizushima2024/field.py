@@ -31,7 +31,7 @@ PRINTED_AIR_C_m_s = 343.0
 CARRIER_HZ = 40e3
 STEP_M = 0.25e-3
 REACH_M = {"x": (-45e-3, 45e-3), "y": (-45e-3, 45e-3), "z": (-38e-3, 80e-3)}
-"""Ranges of scans about the focus: less than half the maximum is left at the ends."""
+"""Ranges of the scans about the focus. At their ends, less than half of the maximum remains."""
 CLEAR_M = 5e-3
 """Smallest distance of the microphone from the foremost speaker [m]."""
 LARGEST_PA = 4000.0
@@ -39,7 +39,7 @@ LARGEST_PA = 4000.0
 
 @cache
 def scan(bows: Bows, axis: str, step_m: float = STEP_M) -> tuple[Float, Float]:
-    """Return positions along an axis from the focus [m], and mean square relative to its maximum there; shapes (n,)."""
+    """Return positions along an axis from the focus [m], and the mean square relative to its maximum, shapes (n,)."""
     number = "xyz".index(axis)
     low, high = REACH_M[axis]
     focus = focus_of(bows)
@@ -51,12 +51,15 @@ def scan(bows: Bows, axis: str, step_m: float = STEP_M) -> tuple[Float, Float]:
 
 
 def width_mm(bows: Bows, axis: str, step_m: float = STEP_M) -> float:
-    """Return [metrics.half_width]: from the largest value to the outermost half level, mean of both sides [mm]."""
+    """Return [metrics.half_width]: distance from the maximum to the outermost half level, mean of both sides [mm]."""
     return 1e3 * half_width(*scan(bows, axis, step_m))
 
 
 def numerical_error_mm(bows: Bows, axis: str, width: float) -> float:
-    """Return the error of the step (from half the step) and of the far field (from Rayleigh's integral), at a point."""
+    """Return the error of the step (from half the step) and of the far field (from Rayleigh's integral).
+
+    It is computed for a point receiver.
+    """
     finer = abs(width_mm(bows, axis, STEP_M / 2) - width)
     bare = replace(bows, receiver_m=0.0)
     return max(finer, abs(width_mm(replace(bare, faces=True), axis) - width_mm(bare, axis)))
@@ -129,7 +132,10 @@ def causes(axis: str) -> tuple[Cause, ...]:
 
 
 def speaker_angle(number: int) -> Compute:
-    """Return the angle of a speaker to the focus off its bow's axis [deg]; number: 0 for the outermost."""
+    """Return the angle between the axis of a bow and the line from a speaker to the focus [deg].
+
+    number: 0 for the outermost
+    """
 
     def angle(focal_length_m: float) -> float:
         positions, _ = bow(focal_length_m)
@@ -183,7 +189,7 @@ def impedance_Pa(air: Air) -> float:
 
 
 def needed_pressure_Pa(arp_Pa: float) -> float:
-    """Return the rms sound pressure for a radiation pressure by alpha p^2/(rho c^2) with alpha 2."""
+    """Return the rms sound pressure for a radiation pressure, by alpha p^2/(rho c^2) with alpha 2."""
     return float(np.sqrt(0.5 * arp_Pa * impedance_Pa(ROOM)))
 
 
@@ -197,7 +203,10 @@ def needed_level(setting: Setting) -> Answer:
 
 @cache
 def force_at(bows: Bows, peak_Pa: float, spacing_m: float) -> tuple[float, float]:
-    """Return the force on a plate of 30 x 30 mm in the focus with a largest radiation pressure [N], also coarser."""
+    """Return the force on a plate of 30 x 30 mm in the focus [N], also with a coarser spacing.
+
+    peak_Pa: largest radiation pressure
+    """
     focus = focus_of(bows)
     free = replace(bows, receiver_m=0.0)
     largest = float(mean_square(free, focus[None])[0])

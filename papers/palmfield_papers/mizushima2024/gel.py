@@ -35,8 +35,10 @@ ENDS = ("softest", "stiffest")
 class Gel:
     """Gel and load. Hashable, so that runs can be cached.
 
-    hardness: "C0", "C7" or "C15"; end: of the range of the material, "softest", "stiffest", or "" for its value
-    base: see layer_compliance; half_widths_m: of the pressure along x and y, Gaussian, where it is half its peak
+    hardness: "C0", "C7" or "C15"
+    end: end of the range of the material, "softest" or "stiffest"; "" for its value
+    base: see layer_compliance
+    half_widths_m: distances along x and y at which the Gaussian pressure is half of its peak
     """
 
     hardness: str = "C0"
@@ -71,8 +73,9 @@ def frequencies() -> Float:
 def compliance(gel: Gel, frequency_Hz: float, panels: int = 240) -> complex:
     """Return the displacement at the centre of the ellipse per peak pressure [m/Pa], positive into the gel.
 
-    u = s_x s_y integral of k C(k) exp(-k^2 (s_x^2 + s_y^2)/4) I0(k^2 (s_x^2 - s_y^2)/4) dk over the layer's compliance
-    C at lateral wavenumbers k, with the standard deviations s of the Gaussian, by Gauss quadrature.
+    u = s_x s_y integral of k C(k) exp(-k^2 (s_x^2 + s_y^2)/4) I0(k^2 (s_x^2 - s_y^2)/4) dk. C is the compliance of the
+    layer at the lateral wavenumber k, and s are the standard deviations of the Gaussian. The integral is computed by
+    Gauss quadrature.
     """
     return _ellipse(material_of(gel), gel.base, gel.half_widths_m, frequency_Hz, panels)
 
@@ -113,7 +116,7 @@ def course_um(gel: Gel) -> Float:
 def off_at_rest(base: BaseKind, half_widths_m: tuple[float, float], quick: bool) -> float:
     """Return the relative difference of C0 at rest from `static`, an independent solution by elements in depth.
 
-    Without losses it is equal for all moduli: it depends only on Poisson's ratio, which is that of all gels.
+    Without losses it is equal for all moduli. It depends only on Poisson's ratio, which is the same for all gels.
     """
     gel = Gel("C0", base, half_widths_m)
     step = 1e-3 if quick else 0.5e-3
@@ -170,7 +173,7 @@ def by_formula(setting: Setting) -> Answer:
 
 
 def order_of_bonds(setting: Setting) -> Answer:
-    """Return the least of frictionless minus bonded and uniaxial minus frictionless over the frequencies [um]."""
+    """Return the smallest of frictionless minus bonded and uniaxial minus frictionless over all frequencies [um]."""
     gel = gel_of(setting)
     bonded, free = course_um(replace(gel, base="bonded")), course_um(replace(gel, base="free_slip"))
     formula = np.array([1e6 * uniaxial_m(gel, float(f)) for f in frequencies()])
@@ -190,7 +193,7 @@ def order_of_bonds(setting: Setting) -> Answer:
 
 
 def storage(hardness: str) -> Compute:
-    """Return E' of the preset at 10 Hz in an analyser with frictionless plates."""
+    """Return E' of the preset at 10 Hz, in an analyser with frictionless plates."""
 
     def compute(setting: Setting) -> Answer:
         material = preset(f"hitohada_{hardness.lower()}")
@@ -207,9 +210,10 @@ def storage(hardness: str) -> Compute:
 
 
 def loss_tangent(setting: Setting) -> Answer:
-    """Return the least ratio of the largest to the least tan delta over 100 to 1000 Hz, of all standard linear solids.
+    """Return the smallest ratio of largest to smallest tan delta over 100 to 1000 Hz, of all standard linear solids.
 
-    Their tangent has one peak, 2/(f/f_p + f_p/f), and is flattest over the decade with f_p in its middle.
+    Their tan delta has one peak, 2/(f/f_p + f_p/f). It varies least over the decade if f_p is in the middle of the
+    decade.
     """
     rates = np.geomspace(100.0, 1000.0, 201)
 
@@ -226,7 +230,7 @@ def loss_tangent(setting: Setting) -> Answer:
 
 
 def as_printed_and_corrected(setting: Setting) -> Answer:
-    """Return eq 4 and |E*| of eqs 1 and 2 at 200 Hz, for a solid with E1 = E2 and its transition there."""
+    """Return eq 4 and |E*| of eqs 1 and 2 at 200 Hz, for a solid with E1 = E2 and its transition at 200 Hz."""
     e1 = e2 = 1.0
     viscosity = e2 / (2.0 * np.pi * 200.0)
     right = abs(sls_modulus(200.0, e1, e2, viscosity))

@@ -18,7 +18,7 @@ def _width(bows: Bows, axis: str) -> str:
 
 
 def notes(setting: Setting) -> str:
-    """Return two readings varied together, the level of 4000 Pa, and assumptions where the text is open."""
+    """Return notes: two readings varied together, the level of 4000 Pa, and assumptions where the text is open."""
     lines = [
         "## Focal length and radius together",
         "",

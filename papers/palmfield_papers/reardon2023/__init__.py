@@ -35,7 +35,7 @@ LATER = {
         ),
     ),
 }
-"""Failures that entries name, tested when answers were known."""
+"""Failures that entries name. They were tested when answers were known."""
 
 
 def _causes(varied: Mapping[str, Any], changes: Mapping[str, dict[str, Any]]) -> dict[str, tuple[Cause, ...]]:

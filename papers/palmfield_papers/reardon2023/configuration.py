@@ -12,7 +12,7 @@ THICKNESS_m = 0.01
 RADIUS_m = 0.125
 FWHM_m = 0.006
 PASCAL = 1.0
-"""Largest pressure of the spot. It cancels in all compared numbers, which are ratios and positions."""
+"""Largest pressure of the spot. It cancels in all compared numbers, because these are ratios and positions."""
 FASTER = 1.4
 """Factor of the shear speed in control `wave_speed`."""
 
@@ -22,7 +22,11 @@ Back = Literal["free", "bonded"]
 
 @dataclass(frozen=True)
 class Plate:
-    """back: "free" or "bonded"; rim: "absorbing" (infinite) or "reflecting" (a frictionless wall around the 25 cm)."""
+    """A slab.
+
+    back: "free" or "bonded"
+    rim: "absorbing" (infinite slab) or "reflecting" (a frictionless wall around the 25 cm)
+    """
 
     back: Back = "free"
     rim: str = "absorbing"
@@ -33,13 +37,13 @@ class Plate:
 
     @property
     def material(self) -> Material:
-        """Kelvin-Voigt, nearly incompressible: the speed of pressure waves is not printed."""
+        """Return the material: Kelvin-Voigt, nearly incompressible. The speed of pressure waves is not printed."""
         shear = DENSITY_kg_m3 * self.shear_speed_m_s**2
         return kelvin_voigt("reardon", DENSITY_kg_m3, shear, self.viscosity_Pa_s)
 
     @property
     def slab(self) -> Slab:
-        """The slab for `palmfield.skin`."""
+        """Return the slab in the form for `palmfield.skin`."""
         sheets = (Sheet(self.material, self.thickness_m),)
         if self.rim == "reflecting":
             return Slab(sheets, shape="disc", base=self.back, side="roller", radius_m=RADIUS_m)
@@ -50,9 +54,11 @@ class Plate:
 class Course:
     """A focus that moves along straight lines at constant speed; the slab is initially at rest.
 
-    corners: [m], in order; speed_m_s: along the lines; steps: number of samples at equal time steps
+    corners: [m], in order
+    speed_m_s: speed along the lines
+    steps: number of samples at equal time steps
     turns: number of turns on a closed path (whose last corner is its first)
-    rate_Hz: control rate, with constant position in between; None for continuous motion
+    rate_Hz: control rate, with constant position between control steps; None for continuous motion
     skipped: number of first samples that are not evaluated
     still_after_s: silence after the end [s], which is evaluated too
     """
@@ -67,12 +73,14 @@ class Course:
 
 
 DEEP: dict[str, Any] = {"back": "bonded", "thickness_m": 0.06}
-"""The solver of the paper has an absorbing layer, also below. Shear waves need 24 ms to the base of 60 mm
-and back, about as long as the runs last."""
+"""Whether the slab has an absorbing layer below, as in the solver of the paper.
+
+Shear waves need 24 ms to the base of 60 mm and back, about as long as the runs last.
+"""
 
 
 def plate_of(setting: Setting, **changes: Any) -> Plate:
-    """Return the slab of rows R5 to R14 and R20; changes: of its fields, to find causes."""
+    """Return the slab of rows R5 to R14 and R20. changes: changes of its fields, to find causes"""
     readings = dict(setting.readings)
     plate = Plate(
         back=cast(Back, readings.get("reardon_back", "free")),
@@ -84,7 +92,7 @@ def plate_of(setting: Setting, **changes: Any) -> Plate:
 
 
 def tissue_of(setting: Setting, **changes: Any) -> Plate:
-    """Return the slab that represents the hand in rows R16 to R19: bonded, infinite."""
+    """Return the slab that represents the hand in rows R16 to R19: bonded and infinite."""
     readings = dict(setting.readings)
     tissue = readings.get("reardon_hand_tissue", "slab of 1 cm at 5 m/s, bonded")
     speed = _number(tissue.split(" at ")[1])

@@ -1,4 +1,4 @@
-"""Rows R10, R11, R13 and R14: a Z, zigzags, squares and circles."""
+"""Rows R10, R11, R13 and R14: a letter Z, zigzags, squares and circles."""
 
 import math
 from collections.abc import Callable
@@ -23,9 +23,9 @@ ACROSS_m_s = 2.5
 CORNER_m = 0.006
 MARGIN_m = 0.003
 TURNS = 5
-"""Number of turns before the window of squares and circles, and in it."""
+"""Number of turns before the evaluated window of squares and circles, and number of turns in it."""
 SEGMENTS = {COARSE: 24, QUICK: 32, FULL: 64, FINER: 96}
-"""Number of segments of a circle, by level; with 32 the radius deviates by at most 0.5 %."""
+"""Number of segments of a circle, by level of resolution. With 32 segments the radius deviates by at most 0.5 %."""
 ANGLES = 256
 """Number of angles on a circle at which maps are averaged."""
 RING_STEP_m = 5e-4
@@ -42,14 +42,14 @@ def _steps(way: float, level: int, multiple: int = 1) -> int:
 
 
 def z_course(side: float, speed: float, level: int) -> Course:
-    """Return a Z in a square of a side: along the top, down the diagonal, along the foot."""
+    """Return a letter Z in a square: along the top, down the diagonal, along the bottom. side: of the square"""
     half = 0.5 * side
     corners = ((-half, half), (half, half), (-half, -half), (half, -half))
     return Course(corners, speed, _steps(side * (2.0 + math.sqrt(2.0)), level))
 
 
 def design(course: Course, places: Float, fwhm: float = FWHM_m) -> Float:
-    """Return the mean pressure of the spot over time, shape (n, n): Gaussians along the path at steps of 0.5 mm."""
+    """Return the mean pressure of the spot over time, (n, n): a sum of Gaussians along the path at steps of 0.5 mm."""
     corners = np.array(course.corners)
     arcs = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     way = (np.arange(math.ceil(arcs[-1] / 5e-4)) + 0.5) / math.ceil(arcs[-1] / 5e-4) * arcs[-1]
@@ -75,7 +75,7 @@ def z_energy(plate: Plate, side: float, speed: float, level: int, device: str) -
 
 
 def likeness(setting: Setting, level: int, speed: float, **changes: Any) -> tuple[float, float]:
-    """Return MSE and SSIM of a Z relative to its design."""
+    """Return MSE and SSIM of a letter Z relative to its design."""
     side = 0.01 * first_number(setting, "reardon_z_size")
     plate = plate_of(setting, **changes)
     drawn = z_energy(plate, side, speed, level, setting.device)
@@ -112,13 +112,16 @@ def _ssim(**changes: Any) -> Callable[[Setting], Answer]:
 
 
 def zigzag_corners(length: float, width: float, along: float, across: float) -> tuple[tuple[float, float], ...]:
-    """Return the corners of strokes from the lower edge, with speeds along and across, over the length, centred [m]."""
+    """Return the corners of strokes from the lower edge, centred [m].
+
+    along, across: speeds along and across the length
+    """
     path = zigzagged(line(length), width, width / across * along)
     return tuple((float(x), float(y)) for x, y in path.points)
 
 
 def zigzag_course(width: float, along: float, level: int) -> Course:
-    """Return 16 cm of a zigzag."""
+    """Return the path of 16 cm of a zigzag."""
     speed = math.hypot(along, ACROSS_m_s)
     return Course(zigzag_corners(ZIGZAG_m, width, along, ACROSS_m_s), speed, _steps(ZIGZAG_m / along * speed, level))
 
@@ -131,8 +134,10 @@ def zigzag_rms(plate: Plate, width: float, along: float, level: int, device: str
 
 
 def corner_ratio(drawn: Drawn, corners: Float, chosen: Float) -> float | None:
-    """Return [metrics.corner_energy]: largest rms velocity near the chosen corners over the median elsewhere;
-    None without corners."""
+    """Return [metrics.corner_energy]; None without corners.
+
+    It is the largest rms velocity near the chosen corners, divided by the median elsewhere.
+    """
     if len(chosen) == 0:
         return None
     x, y = np.meshgrid(drawn.places_m, drawn.places_m, indexing="ij")
@@ -146,7 +151,7 @@ def corner_ratio(drawn: Drawn, corners: Float, chosen: Float) -> float | None:
 
 
 def corners_at(setting: Setting, level: int, along: float, *, every: bool = False, **changes: Any) -> float | None:
-    """Return the ratio at a speed along the path; every: include the first and the last turn."""
+    """Return the corner ratio at a speed along the path. every: whether to include the first and the last turn"""
     width = 0.01 * first_number(setting, "reardon_zigzag")
     drawn = zigzag_rms(plate_of(setting, **changes), width, along, level, setting.device)
     corners = np.array(zigzag_corners(ZIGZAG_m, width, along, ACROSS_m_s))
@@ -160,7 +165,7 @@ def _corner_number(setting: Setting, level: int) -> float:
 
 
 def corner_answer(setting: Setting) -> Answer:
-    """R11f."""
+    """Return the answer of entry R11f."""
     level = level_of(setting)
     shown = {}
     for along in (3.0, 4.0, 5.0, 6.0):
@@ -193,7 +198,7 @@ def square_rms(plate: Plate, side: float, speed: float, level: int, device: str)
 
 
 def inside_mm(drawn: Drawn, side: float) -> float:
-    """Return the distance of the largest rms velocity from a square path [mm]; positive inside."""
+    """Return the distance of the largest rms velocity from a square path [mm], positive inside."""
     row, column = np.unravel_index(drawn.values.argmax(), drawn.values.shape)
     x, y = abs(drawn.places_m[row]), abs(drawn.places_m[column])
     half = 0.5 * side
@@ -250,8 +255,10 @@ def _maxima(**changes: Any) -> Callable[[Setting], Answer]:
 class Circled:
     """Rms velocity and mean in the rotating frame of a circle.
 
-    radii_m: shape (r,); ring: mean over angle of the rms velocity [m/s], shape (r,)
-    spiral: mean velocity in the frame of the focus [m/s], by radius and angle behind it, of ANGLES to a turn, (r, a)
+    radii_m: shape (r,)
+    ring: mean over angle of the rms velocity [m/s], shape (r,)
+    spiral: mean velocity in the frame of the focus [m/s], by radius and by angle behind the focus (ANGLES per turn),
+        (r, a)
     map: rms velocity on the grid
     """
 
@@ -290,25 +297,27 @@ def circled(plate: Plate, radius: float, speed: float, level: int, device: str) 
 
 
 def ring_radius(one: Circled, path: float) -> float:
-    """Return [metrics.circle_maps].ring: radius of the largest mean over angle that is not beyond the path [m]."""
+    """Return [metrics.circle_maps].ring [m]: radius, not beyond the path, of the largest mean over angle."""
     inside = one.radii_m <= path * (1.0 + 1e-9)
     return float(one.radii_m[inside][one.ring[inside].argmax()])
 
 
 def quiet_radius(one: Circled, path: float, level: float) -> float:
-    """Return [metrics.circle_maps].quiescent_disc: largest radius with the mean below a fraction of the ring [m];
-    0 if the centre is above."""
+    """Return [metrics.circle_maps].quiescent_disc [m].
+
+    It is the largest radius up to which the mean is below a fraction of the ring; 0 if the centre is above it.
+    """
     inside = one.radii_m <= path * (1.0 + 1e-9)
     loud = np.flatnonzero(one.ring >= level * one.ring[inside].max())
     return float(one.radii_m[max(loud[0] - 1, 0)])
 
 
 def spiral_length(one: Circled, path: float) -> float:
-    """Return [metrics.circle_maps].spiral_wake: arc length behind the focus with the ridge above 10 % [m].
+    """Return [metrics.circle_maps].spiral_wake [m]: arc length behind the focus along which the ridge is above 10 %.
 
     The ridge begins at the largest magnitude that is at most one spot width behind the focus and 3 mm from the path,
-    since the centre of a moving dent is at rest. It follows, from angle to angle, the largest magnitude within 3 mm of
-    radius, and ends at the rim of the slab or after three turns. The result is 0 if no magnitude reaches 10 %.
+    because the centre of a moving dent has no velocity. From angle to angle, it follows the largest magnitude within 3
+    mm of radius. It ends at the rim of the slab or after three turns. The result is 0 if no magnitude reaches 10 %.
     """
     size = np.abs(one.spiral)
     most = float(size.max())
@@ -399,5 +408,5 @@ def _spiral(**changes: Any) -> Callable[[Setting], Answer]:
 VARIED = {
     "R10a": _mse, "R10b": _ssim, "R13c": _place, "R13d": _maxima, "R14a": _shrinks, "R14b": _quiet, "R14c": _spiral,
 }  # fmt: skip
-"""Answers with changed fields of the slab, to find causes."""
+"""Answers for slabs with changed fields, to find causes."""
 ANSWERS = {**{name: make() for name, make in VARIED.items()}, "R11f": corner_answer}

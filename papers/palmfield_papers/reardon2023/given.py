@@ -24,7 +24,10 @@ def _closed(value: float, note: str) -> Answer:
 
 
 def array_width(setting: Setting) -> Answer:
-    """R2e: width of the ARP of 16 x 16 transducers at 200 mm, by parabolic interpolation between samples of 0.1 mm."""
+    """Return the answer of entry R2e: the width of the ARP of 16 x 16 transducers at 200 mm.
+
+    It is found by parabolic interpolation between samples of 0.1 mm.
+    """
     array, air = layout("uhev1"), Air()
     widths = []
     for step in (1e-4, 5e-5):
@@ -42,7 +45,7 @@ def array_width(setting: Setting) -> Answer:
 
 
 def words(note: str) -> Answer:
-    """Words only."""
+    """Return an answer that consists of words only."""
     return Answer(None, note=note)
 
 

@@ -26,25 +26,29 @@ FELT = (0.5, *SPEEDS)
 FITTED = (0.5, 1.0)
 """Speeds at which the noise of the observer is fitted [m/s]."""
 EASY = 0.95
-"""Mean fraction of right answers there. The text gives no value: 0.5 m/s "could be easily perceived"."""
+"""Mean fraction of right answers at these speeds. The text has no value: 0.5 m/s "could be easily perceived"."""
 OTHER_EASY = (0.75, 0.99)
 INTEGRATION_s = 0.2
-"""Integration time of the Pacinian channel [s], the only value in the notes on perception."""
+"""Integration time of the Pacinian channel [s]. It is the only value in the notes on perception."""
 OTHER_INTEGRATION_s = (0.0, 0.02)
 SILENCE_s = 0.04
-"""Silence after a pass [s], after which the slab is at rest."""
+"""Silence after a pass [s]. At its end the slab is at rest."""
 RECEPTORS_m = 5e-3 * np.arange(-16, 17)
 """Positions of receptors along the path [m]."""
 CROSSINGS_Hz = ACROSS_m_s / WIDTH_m
-"""Frequency at which the focus crosses the axis of the zigzag."""
+"""Frequency at which the focus crosses the axis of the zigzag [Hz]."""
 CHANCE = 6.3
-"""Points from 50 % within which 240 fair trials lie at 95 %."""
+"""Distance from 50 % [percentage points] that contains 95 % of the results of 240 trials by chance."""
 
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass along the hand. snapshot: at seven eighths of the path, at places_m along both axes; displacement_m and
-    velocity_m_s: at RECEPTORS_m and times_s, including the silence after it, shape (t, 33); end_s: of the path"""
+    """One pass along the hand.
+
+    snapshot: velocity at seven eighths of the path, at places_m along both axes
+    displacement_m, velocity_m_s: at RECEPTORS_m and times_s, including the silence after the pass, shape (t, 33)
+    end_s: end of the path [s]
+    """
 
     places_m: Float
     snapshot: Float
@@ -55,7 +59,7 @@ class Pass:
 
 
 def hand_course(along: float, level: int, *, back: bool = False) -> Course:
-    """Return 16 cm of a zigzag 2 cm wide, samples at most 0.5 ms apart; back: reversed path."""
+    """Return 16 cm of a zigzag 2 cm wide, with samples at most 0.5 ms apart. back: whether the path is reversed"""
     corners = zigzag_corners(PATH_m, WIDTH_m, along, ACROSS_m_s)
     corners = corners[::-1] if back else corners
     seconds = PATH_m / along
@@ -64,14 +68,14 @@ def hand_course(along: float, level: int, *, back: bool = False) -> Course:
 
 
 def own_mirror(along: float) -> bool:
-    """Return whether the reversed path is the path mirrored in x, and possibly in y, equal for receptors."""
+    """Return whether the reversed path is the path mirrored in x, and possibly in y; receptors then get the same."""
     ahead = np.array(hand_course(along, QUICK).corners)
     return any(np.allclose(ahead[::-1], ahead * (-1.0, sign), atol=1e-9) for sign in (1.0, -1.0))
 
 
 @cache
 def passed(plate: Plate, along: float, level: int, device: str, *, back: bool = False) -> Pass:
-    """Return a pass at a speed along the path; with back its snapshot must not be used."""
+    """Return a pass at a speed along the path. With `back`, its snapshot must not be used."""
     if back and own_mirror(along):
         ahead = passed(plate, along, level, device)
         return replace(ahead, displacement_m=ahead.displacement_m[:, ::-1], velocity_m_s=ahead.velocity_m_s[:, ::-1])
@@ -130,8 +134,10 @@ def _long(**changes: Any) -> Callable[[Setting], Answer]:
 
 
 def near_lines(one: Pass) -> float:
-    """Return the fraction of power of normal velocity on the axis, 10 to 1000 Hz, within a quarter of CROSSINGS_Hz
-    from its multiples; power is the mean over positions."""
+    """Return the fraction of power near multiples of CROSSINGS_Hz, within a quarter of it.
+
+    The power is that of the normal velocity on the axis, 10 to 1000 Hz, mean over positions.
+    """
     spectra = [amplitude_spectrum(one.times_s, place, taper="none") for place in one.velocity_m_s.T]
     f, power = spectra[0][0], np.sum([amplitude**2 for _, amplitude in spectra], axis=0)
     power = np.where((f >= BAND_Hz[0]) & (f <= BAND_Hz[1]), power, 0.0)
@@ -156,7 +162,7 @@ def _concentrated(**changes: Any) -> Callable[[Setting], Answer]:
 
 
 def local_displacement(along: float, level: int, *, back: bool = False) -> tuple[Float, Float]:
-    """Return times [s] and motion (t, 33) of skin without waves: receptors move as the pressure, in any unit."""
+    """Return times [s] and motion (t, 33) of skin without waves. Receptors move as the pressure, in any unit."""
     course = hand_course(along, level, back=back)
     times, spot, end = sampled(course)
     places = np.stack([np.interp(times, spot.times_s, spot.centres()[:, n]) for n in range(2)], axis=1)
@@ -166,7 +172,7 @@ def local_displacement(along: float, level: int, *, back: bool = False) -> tuple
 
 
 def repeated(times: Float, motion: Float, end_s: float) -> tuple[Float, Float]:
-    """Repeat passes for the duration of a pass at the slowest speed; motions add, because the skin is linear."""
+    """Repeat passes for the duration of a pass at the slowest speed. Their motions add, because the skin is linear."""
     step = float(times[1] - times[0])
     count, shift = max(1, round(PATH_m / FELT[0] / end_s)), round(end_s / step)
     result = np.zeros(((count - 1) * shift + len(times), motion.shape[1]))
@@ -176,7 +182,10 @@ def repeated(times: Float, motion: Float, end_s: float) -> tuple[Float, Float]:
 
 
 def apart(times: Float, motions: tuple[Float, Float], integration_s: float) -> float:
-    """Return the separation of directions on one path, because positions alone would distinguish a mirrored zigzag."""
+    """Return the separation of the two directions on one path.
+
+    On one path, positions alone do not distinguish the directions; with mirrored zigzags they would.
+    """
     there, back = (
         level_course(times, motion, OBSERVERS["afferent_human"], integration_s=integration_s) for motion in motions
     )
@@ -187,7 +196,7 @@ def apart(times: Float, motions: tuple[Float, Float], integration_s: float) -> f
 def separations(
     plate: Plate | None, level: int, device: str, *, same_duration: bool, integration_s: float
 ) -> dict[float, float]:
-    """Return separations by speed. plate: None for skin without waves"""
+    """Return the separations by speed. plate: None for skin without waves"""
     found = {}
     for v in FELT:
         if plate is None:
@@ -213,7 +222,8 @@ def accuracies(
 ) -> dict[float, float]:
     """Return the expected fraction of right answers by speed [%].
 
-    The noise is fitted on the same skin with single passes at 0.5 and 1 m/s, and kept for repeated ones.
+    The noise is fitted on the same skin with single passes at 0.5 and 1 m/s. The same noise is used for repeated
+    passes.
     """
     single = separations(plate, level, device, same_duration=False, integration_s=integration_s)
     noise = noise_for([single[v] for v in FITTED], easy)
@@ -232,8 +242,11 @@ def conditions(setting: Setting, level: int, **changes: Any) -> dict[str, dict[f
 
 
 def observer_counts(of: dict[str, dict[float, float]]) -> bool:
-    """Return whether the observer depends on waves: at chance at 4, 7 and 11 m/s with waves, and not at chance there on
-    skin without waves for constant duration."""
+    """Return whether the observer depends on waves.
+
+    With waves it must be at chance at 4, 7 and 11 m/s. Without waves it must not be at chance there, for constant
+    duration.
+    """
     fast = (4.0, 7.0, 11.0)
     on_waves = all(abs(of["waves, one pass"][v] - 50.0) <= CHANCE for v in fast)
     without = all(abs(of["no propagation, repeated for 320 ms"][v] - 50.0) > CHANCE for v in fast)
@@ -299,5 +312,5 @@ VARIED: dict[str, Callable[..., Callable[[Setting], Answer]]] = {
     "R19c": lambda **changes: _chance(11.0, **changes),
     "R19d": _falls,
 }
-"""Answers with changed fields of the slab, to find causes."""
+"""Answers for slabs with changed fields, to find causes."""
 ANSWERS = {**{name: make() for name, make in VARIED.items()}, "R19k": _duration(0.5), "R19l": _duration(11.0)}

@@ -37,16 +37,16 @@ PATH_m = 0.16
 LATERAL_m = 0.1
 STRIP_m = 0.006
 FAST = (5.0, 7.0, 10.0, 20.0)
-"""Speeds for the change of energies relative to a slow focus [m/s]."""
+"""Speeds at which the change of energies relative to a slow focus is computed [m/s]."""
 AROUND_m = 0.1
-"""Radius about the focus in which fields of control rates are compared [m]."""
+"""Radius about the focus within which fields of control rates are compared [m]."""
 FOCUS_AT_m = 0.12
 RIDGE_deg = math.degrees(0.5 * GRID_m / 0.04)
-"""Angle of half a grid step in the middle of the fitted ridge, 20 to 60 mm behind the focus."""
+"""Angle of half a grid step, seen in the middle of the fitted ridge, 20 to 60 mm behind the focus."""
 
 
 def run_of(setting: Setting, level: int, speed: float, length: float | None = None, **changes: Any) -> Straight:
-    """Return the straight run under a setting; length: of the path if no reading gives it."""
+    """Return the straight run under a setting. length: of the path, if no reading defines it"""
     way = length_of(setting) if length is None else length
     return straight(plate_of(setting, **changes), speed, way, level, setting.device)
 
@@ -75,12 +75,15 @@ def _inside(one: Straight) -> Any:
 
 
 def ratio_of(one: Straight, over: Any = "outside") -> float:
-    """Return the focal energy ratio: energy in the strip over that outside, or over the total."""
+    """Return the focal energy ratio: energy in the strip, relative to that outside or to the total."""
     return focal_energy_ratio(one.energy, one.places_m, one.places_m, _inside(one), over=over)
 
 
 def residual(one: Straight) -> float:
-    """Return the average residual energy over the square around the slab: that of the slab times the ratio of areas."""
+    """Return the average residual energy over the square around the slab.
+
+    It is that of the slab times the ratio of areas.
+    """
     square = average_residual_energy(one.energy, one.places_m, one.places_m, _inside(one))
     return square * (2.0 * RADIUS_m) ** 2 / (math.pi * RADIUS_m**2)
 
@@ -89,7 +92,7 @@ def residual(one: Straight) -> float:
 
 
 def wake_by_viscosity(viscosity: float) -> Callable[[Setting], Answer]:
-    """R5h to R5j."""
+    """Return the answers of entries R5h to R5j: the wake for a viscosity."""
 
     def number(setting: Setting, level: int) -> float:
         return wake_cm(run_of(setting, level, 7.0, PATH_m, back="bonded", viscosity_Pa_s=viscosity), 0.1)
@@ -160,8 +163,8 @@ def strongest_mode(plate: Plate, wavenumber: float) -> float:
 def own_curve_deg(one: Straight, plate: Plate, speed: float) -> tuple[float, float]:
     """Return the angle asin(c/v) of our dispersion curve [deg], and the wavenumber of the snapshot.
 
-    The wavenumber is the power-weighted mean of the spectrum behind the focus, c the phase speed of the mode that
-    a pressure of that wavenumber excites most.
+    The wavenumber is the power-weighted mean of the spectrum behind the focus. c is the phase speed of the mode that a
+    pressure of this wavenumber excites most.
     """
     behind = one.at_12_cm[one.places_m < FOCUS_AT_m - 0.5 * one.length_m - 0.01]
     step = one.places_m[1] - one.places_m[0]
@@ -177,7 +180,7 @@ def _angle_at_seven(setting: Setting, level: int) -> float:
 
 
 def own_angle(setting: Setting) -> Answer:
-    """R7c: compared with our dispersion curve."""
+    """Return the answer of entry R7c, which is compared with our dispersion curve."""
     one = run_of(setting, level_of(setting), 7.0, PATH_m)
     curve, k = own_curve_deg(one, plate_of(setting), 7.0)
     note = f"the phase speed of the strongest mode at {k:.0f} rad/m, the mean of the snapshot, gives {curve:.1f} deg"
@@ -237,7 +240,7 @@ def reference_m_s(setting: Setting) -> float:
 def energy_changes(
     setting: Setting, level: int, what: Callable[[Straight], float], **changes: Any
 ) -> dict[float, float]:
-    """Return the change from the reference to each fast speed [%]."""
+    """Return the change from the reference speed to each fast speed [%]."""
     slow = what(run_of(setting, level, reference_m_s(setting), **changes))
     return {v: 100.0 * (what(run_of(setting, level, v, **changes)) / slow - 1.0) for v in FAST}
 
@@ -272,8 +275,10 @@ def _residual(**changes: Any) -> Callable[[Setting], Answer]:
 
 @cache
 def held_snapshot(plate: Plate, rate_Hz: float | None, delay_s: float, level: int, device: str) -> tuple[Float, Float]:
-    """Return positions and velocity at 7 m/s after 12 cm of a path of 16 cm; rate_Hz None: continuous motion, evaluated
-    delay_s after that moment."""
+    """Return positions and velocity at 7 m/s after 12 cm of a path of 16 cm.
+
+    rate_Hz: control rate; None for continuous motion, which is evaluated delay_s after this moment
+    """
     course = Course(((-0.08, 0.0), (0.08, 0.0)), 7.0, 16, rate_Hz=rate_Hz)
     motion = run(plate, course, level, device, np.array([FOCUS_AT_m / 7.0 + delay_s]))
     return motion.places_m, motion.velocity[0].astype(float)
@@ -291,10 +296,10 @@ def _compared(places: Float, one: Float, other: Float) -> float:
 
 
 def rate_difference(plate: Plate, rate_Hz: float, level: int, device: str) -> float:
-    """Return the difference of the field at a control rate from that at 200 kHz, at the same time.
+    """Return the difference between the fields at a control rate and at 200 kHz, at the same time.
 
-    200 kHz is represented by continuous motion delayed by half a control step: error (k v / f)^2/24, 1e-4 at 1000
-    rad/m.
+    200 kHz is represented by continuous motion that is delayed by half a control step. The error is (k v / f)^2/24,
+    which is 1e-4 at 1000 rad/m.
     """
     places, stepped = held_snapshot(plate, rate_Hz, 0.0, level, device)
     _, fine = held_snapshot(plate, None, -0.5 / REFERENCE_Hz, level, device)
@@ -302,8 +307,11 @@ def rate_difference(plate: Plate, rate_Hz: float, level: int, device: str) -> fl
 
 
 def late_difference(plate: Plate, rate_Hz: float, level: int, device: str) -> tuple[float, float]:
-    """Return the difference from a continuously moving focus delayed by half a control step (the mean delay of the held
-    focus), evaluated half a step earlier without shift, and the likeness (SSIM) of both fields."""
+    """Return the difference from a focus that moves continuously, delayed by half a control step; and the SSIM of both.
+
+    This delay is the mean delay of the fixed focus. The continuous field is evaluated half a step earlier, without a
+    shift.
+    """
     places, stepped = held_snapshot(plate, rate_Hz, 0.0, level, device)
     _, late = held_snapshot(plate, None, -0.5 / rate_Hz, level, device)
     return _compared(places, stepped, late), ssim(stepped, late, data_range=2.0)
@@ -337,12 +345,12 @@ def _order_of_rates(setting: Setting, level: int) -> float:
 
 
 def spatial_step(rate_Hz: float) -> Callable[[Setting], Answer]:
-    """R12f to R12i: v/f [mm]."""
+    """Return the answers of entries R12f to R12i: the step v/f of the focus [mm]."""
     return lambda setting: Answer(1e3 * 7.0 / rate_Hz, 0.0, note="7 m/s over the control rate")
 
 
 def likeness_of_nulls(setting: Setting) -> dict[str, tuple[float, float]]:
-    """Return MSE and SSIM of energy densities that should be similar or different, for the notes."""
+    """Return MSE and SSIM of energy densities that should be similar or should differ, for the notes."""
     from palmfield.metrics import mse
 
     level = level_of(setting)
@@ -356,7 +364,7 @@ def likeness_of_nulls(setting: Setting) -> dict[str, tuple[float, float]]:
 
 
 def viscosity_from_absorption(setting: Setting) -> Answer:
-    """R5g: k-Wave's eta = 2 rho c^3 alpha of 3e5 dB/(MHz^2 cm)."""
+    """Return the answer of entry R5g: k-Wave's eta = 2 rho c^3 alpha for 3e5 dB/(MHz^2 cm)."""
     neper_m = 3e5 * 100.0 / (20.0 / math.log(10.0))
     alpha = neper_m / (2.0 * math.pi * 1e6) ** 2
     return Answer(
@@ -398,4 +406,4 @@ VARIED = {
     "R12j": lambda **changes: _rate(1400.0, **changes),
     "R12k": lambda **changes: _rate(4200.0, **changes),
 }
-"""Answers with changed fields of the slab, to find causes."""
+"""Answers for slabs with changed fields, to find causes."""

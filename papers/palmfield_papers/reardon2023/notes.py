@@ -57,7 +57,7 @@ def _accuracy_table(setting: Setting) -> list[str]:
 
 
 def notes(setting: Setting) -> str:
-    """Return Markdown: choices, null pairs of the metrics, the controls of the observer, hypotheses."""
+    """Return Markdown: choices, pairs of fields that test the metrics, controls of the observer, hypotheses."""
     base = Plate()
     nulls = likeness_of_nulls(setting)
     lines = [

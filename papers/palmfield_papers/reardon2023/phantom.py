@@ -1,4 +1,4 @@
-"""Row R20, the gelatin plate on the grid of row R15, and the focus of the array in row R2."""
+"""Row R20: the gelatin plate on the grid of row R15, and the focus of the array of row R2."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,13 +15,13 @@ from palmfield_papers.reardon2023.runs import Straight
 
 SCAN_X_m = 5e-3 * np.arange(-20, 20)
 SCAN_Y_m = 5e-3 * np.arange(-14, 16)
-"""Rows of the scan of 40 by 30 points 5 mm apart; one row is on the path."""
+"""Rows of the scan grid, 40 by 30 points at 5 mm. One row is on the path."""
 BAND_Hz = (10.0, 1000.0)
 SPEEDS = (2.0, 4.0, 7.0, 11.0, 15.0)
 
 
 def scanned(one: Straight) -> Float:
-    """Return the snapshot at seven eighths of the path on the scan grid, shape (40, 30)."""
+    """Return the snapshot at seven eighths of the path, on the scan grid, shape (40, 30)."""
     rows, columns = (np.abs(one.places_m[:, None] - scan).argmin(axis=0) for scan in (SCAN_X_m, SCAN_Y_m))
     return one.at_seven_eighths[np.ix_(rows, columns)]
 
@@ -43,12 +43,12 @@ def _tracks(one: Straight) -> Float:
 
 
 def centroid_Hz(one: Straight) -> float:
-    """Return [metrics.spectral_centroid], mean over positions [Hz]."""
+    """Return [metrics.spectral_centroid], averaged over positions [Hz]."""
     return float(np.mean([spectral_centroid(one.times_s, track, BAND_Hz) for track in _tracks(one)]))
 
 
 def width_Hz(one: Straight) -> float:
-    """Return the power-weighted rms distance from the centroid, mean over the positions of `centroid_Hz` [Hz]."""
+    """Return the power-weighted rms distance from the centroid, averaged over the positions of `centroid_Hz` [Hz]."""
     found = []
     for track in _tracks(one):
         frequency, amplitude = amplitude_spectrum(one.times_s, track, taper="none")
@@ -111,5 +111,5 @@ VARIED: dict[str, Callable[..., Callable[[Setting], Answer]]] = {
     "R20d": lambda **changes: _rises(centroid_Hz, **changes),
     "R20e": lambda **changes: _rises(width_Hz, **changes),
 }
-"""Answers with changed fields of the slab, to find causes."""
+"""Answers for slabs with changed fields, to find causes."""
 ANSWERS = {name: make() for name, make in VARIED.items()}

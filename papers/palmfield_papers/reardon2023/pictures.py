@@ -16,7 +16,7 @@ from palmfield_papers.reardon2023.resolution import level_of
 from palmfield_papers.reardon2023.runs import straight
 
 TWO = {"free, 0.02 Pa s": Plate(), "bonded, 1 Pa s": Plate(back="bonded", viscosity_Pa_s=1.0)}
-"""The base and the other reading in the figures."""
+"""The two readings in the figures: the base and another one."""
 MACH = {3.0: "M = 0.6", 5.0: "M = 1", 7.0: "M = 1.4", 10.0: "M = 2"}
 
 
@@ -42,7 +42,7 @@ def _scale(figure: Figure, all_axes: np.ndarray, label: str) -> None:
 
 
 def wakes(setting: Setting) -> Figure:
-    """Figure 1B: snapshots of straight runs."""
+    """Draw Figure 1B: snapshots of straight runs."""
     figure = Figure(figsize=(9.6, 5.0), layout="constrained")
     all_axes = figure.subplots(2, 4, sharex=True, sharey=True)
     for row, (name, plate) in enumerate(TWO.items()):
@@ -62,7 +62,7 @@ def wakes(setting: Setting) -> Figure:
 
 
 def zs(setting: Setting) -> Figure:
-    """Figure 1A: the Z."""
+    """Draw Figure 1A: the letter Z."""
     figure = Figure(figsize=(9.6, 4.8), layout="constrained")
     all_axes = figure.subplots(2, 4, sharex=True, sharey=True)
     for row, plate in enumerate(TWO.values()):
@@ -81,7 +81,7 @@ def zs(setting: Setting) -> Figure:
 
 
 def rates(setting: Setting) -> Figure:
-    """Figure 2: control rates."""
+    """Draw Figure 2: control rates."""
     figure = Figure(figsize=(9.6, 5.0), layout="constrained")
     all_axes = figure.subplots(2, 4, sharex=True, sharey=True)
     for row, (name, plate) in enumerate(TWO.items()):
@@ -96,7 +96,7 @@ def rates(setting: Setting) -> Figure:
 
 
 def closed(setting: Setting) -> Figure:
-    """Figures 3 and 4B: rms velocity of squares and circles."""
+    """Draw Figures 3 and 4B: rms velocity of squares and circles."""
     figure = Figure(figsize=(9.6, 7.0), layout="constrained")
     all_axes = figure.subplots(3, 4, sharex=True, sharey=True)
     level, device = level_of(setting), setting.device
@@ -121,7 +121,7 @@ def closed(setting: Setting) -> Figure:
 def _places(
     setting: Setting, of: Any, size: float, speeds: tuple[float, ...], profile: Any, place: Any, labels: tuple[str, str]
 ) -> tuple[Figure, Any, Any]:
-    """Return by slab a profile at the first speed, and the position of its maximum at all speeds [mm]."""
+    """Return, for each slab, a profile at the first speed, and the position of its maximum at all speeds [mm]."""
     figure = Figure(figsize=(8.6, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     for (name, plate), colour, line in zip((TWO | {"60 mm deep": Plate(**DEEP)}).items(), COLOURS, LINES, strict=False):
@@ -137,7 +137,7 @@ def _places(
 
 
 def square_place(setting: Setting) -> Figure:
-    """R13c: the largest rms velocity of the square by distance inside its path, and the position of the maximum."""
+    """Draw R13c: rms velocity of the square over the distance inside its path, and the position of the maximum."""
 
     def profile(drawn: figures.Drawn) -> tuple[Float, Float]:
         across, at = 1e3 * np.abs(drawn.places_m), np.arange(-10.0, 16.0)
@@ -152,7 +152,7 @@ def square_place(setting: Setting) -> Figure:
 
 
 def ring_place(setting: Setting) -> Figure:
-    """R14a: the mean rms velocity of the circle by radius, and the ring's radius by speed."""
+    """Draw R14a: mean rms velocity of the circle by radius, and the radius of the ring by speed."""
     figure, left, right = _places(
         setting, figures.circled, 0.015, (10.0, 7.0, 5.0), lambda one: (1e3 * one.radii_m[:61], one.ring[:61]),
         lambda one, path: 1e3 * figures.ring_radius(one, path), ("radius [mm]", "radius of the ring [mm]"),
@@ -164,7 +164,7 @@ def ring_place(setting: Setting) -> Figure:
 
 
 def on_hand(setting: Setting) -> Figure:
-    """Figure 7: the pass along the hand, wake lengths, and the observer."""
+    """Draw Figure 7: the pass along the hand, wake lengths, and the observer."""
     figure = Figure(figsize=(9.6, 6.0), layout="constrained")
     parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.1))
     top, bottom = parts
@@ -203,7 +203,7 @@ def on_hand(setting: Setting) -> Figure:
 
 
 def spectra(setting: Setting) -> Figure:
-    """Figure 6B: wakes and spectra of the plate by speed."""
+    """Draw Figure 6B: wakes and spectra of the plate by speed."""
     figure = Figure(figsize=(8.0, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     for plate, colour, name in (

@@ -10,14 +10,17 @@ from palmfield_papers.entries import book
 from palmfield_papers.reardon2023.runs import COARSE, FINER, FULL, QUICK
 
 Number = Callable[[Setting, int], float]
-"""A number under a setting at a level of resolution (COARSE to FINER)."""
+"""Function that computes a number from a setting and a level of resolution (COARSE to FINER)."""
 HOW = (
     "error: at the base readings, the difference from finer waves and samples and another period (quick: from coarser "
     "ones, same period, at least 3 %); at other readings, the larger of the same difference and the same ratio"
 )
 QUICK_LEAST = 0.03
-"""Least error of numbers of quick runs: they differed from full runs by up to 2.8 %, although the coarser run, with the
-same period and modes in depth as the quick run, indicated 0.1 %."""
+"""Smallest relative error of numbers in quick runs.
+
+Such numbers differed from full runs by up to 2.8 %, although the coarser run indicated 0.1 %. The coarser run has the
+same period and the same modes in depth as the quick run.
+"""
 
 
 def level_of(setting: Setting) -> int:
@@ -58,10 +61,12 @@ def answered(
     changes: Mapping[str, Any] | None = None,
     resolution: float = 0.0,
 ) -> Answer:
-    """Return the number with its error; margin: of the number, for inequalities. number: one function for all settings.
+    """Return the number with its error.
 
-    changes: to the slab, of a possible cause, whose error is not estimated
-    resolution: error of the number due to the grid of positions, which two runs do not show
+    number: function of setting and level; pass the same function for all settings
+    margin: margin of the number, for inequalities
+    changes: changes of the slab, for a possible cause, whose error is not estimated
+    resolution: error due to the grid of positions, which two runs do not show
     """
     value = number(setting, level_of(setting))
     error, how = (None, "") if changes else (max(_carried(number, setting, value), resolution), HOW)

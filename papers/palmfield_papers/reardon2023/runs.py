@@ -14,27 +14,35 @@ from palmfield.types import Float, Float32
 from palmfield_papers.reardon2023.configuration import PASCAL, Course, Plate, RADIUS_m
 
 COARSE, QUICK, FULL, FINER = range(4)
-"""Levels: the answers are of QUICK or FULL, their errors from COARSE or FINER."""
+"""Levels of resolution. Answers are computed at QUICK or FULL, and their errors from COARSE or FINER."""
 TOLERANCE = {COARSE: 5e-2, QUICK: 2e-2, FULL: 1e-2, FINER: 3e-3}
 """Tolerance of the truncation of short waves."""
 MODES = {COARSE: 2e-2, QUICK: 2e-2, FULL: 1e-2, FINER: 3e-3}
-"""Tolerance of modes in depth, equal for COARSE and QUICK."""
+"""Tolerance of the modes in depth, which is the same for COARSE and QUICK."""
 FRONTS = {COARSE: 0.7, QUICK: 1.0, FULL: 1.6}
-"""Speed of the fastest waves of repeated loads that must not arrive, relative to the shear speed. On a free slab the
-fastest waves have twice the shear speed and little energy; on a bonded one no wave is faster than shear."""
+"""Speed of the fastest waves of periodic image loads that must not arrive, relative to the shear speed.
+
+On a free slab, the fastest waves have twice the shear speed and little energy. On a bonded slab no wave is faster than
+shear waves.
+"""
 PERIODS_m = {COARSE: (0.35, 0.7), QUICK: (0.35, 0.7), FULL: (0.4, 0.8)}
-"""Periods of lattices, each with the waves of the one before. In very long runs waves of repeated loads arrive."""
+"""Periods of lattices. Each lattice contains the waves of the previous one.
+
+In very long runs, waves of image loads arrive.
+"""
 LOSSY_Pa_s, PERIOD_OF_LOSSY_m = 1.0, 0.5
-"""Period in quick runs of bonded slabs with such losses: with 0.5 instead of 0.8 m passes at 2, 7 and 11 m/s change by
-0.1 % of the largest velocity and less."""
+"""Loss from which a smaller period is used in quick runs of bonded slabs, and this period.
+
+With 0.5 m instead of 0.8 m, passes at 2, 7 and 11 m/s change by at most 0.1 % of the largest velocity.
+"""
 OTHER_PERIOD, WIDEST_m = 1.5, 1.2
-"""Factor of the period in FINER relative to FULL, and its largest value, so that the error includes the period."""
+"""Factor of the period in FINER relative to FULL, and the largest period. The error then includes the period."""
 SPACING_m = {COARSE: 4e-3, QUICK: 3e-3, FULL: 1.5e-3, FINER: 1e-3}
 """Largest distance of the focus between two samples [m]."""
 LONGEST_s = {COARSE: 5e-4, QUICK: 4e-4, FULL: 2.5e-4, FINER: 2e-4}
-"""Longest time between two samples of a straight run [s], for spectra up to 1 kHz."""
+"""Longest time between two samples of a straight run [s]. Spectra then reach 1 kHz."""
 DEPTH_m_s = {COARSE: 11.0, QUICK: 11.0, FULL: 11.0, FINER: 20.0}
-"""Speed for which modes in depth are resolved, for any focus; at 20 m/s a value of 11 changes energies by 1e-4."""
+"""Speed for which modes in depth are resolved, for any focus. At 20 m/s, a value of 11 changes energies by 1e-4."""
 GRID_m = 1e-3
 BLOCK = 64
 """Number of rows of a map whose energy is computed together."""
@@ -42,8 +50,11 @@ BLOCK = 64
 
 @dataclass(frozen=True)
 class Motion:
-    """Result of a run: normal velocity of the face [m/s], shape (t, n, n), at times [s] and positions [m]; 0 outside
-    the slab."""
+    """Result of a run.
+
+    It has the normal velocity of the face [m/s], shape (t, n, n), at times [s] and positions [m]. Outside the slab it
+    is 0.
+    """
 
     times_s: Float
     places_m: Float
@@ -55,12 +66,12 @@ class Motion:
         return np.concatenate([energy_density(self.times_s, self.velocity[:, n : n + BLOCK]) for n in parts])
 
     def largest(self, first: int = 0) -> float:
-        """Return the largest magnitude from a sample on [m/s]."""
+        """Return the largest magnitude from a sample onwards [m/s]."""
         return float(np.abs(self.velocity[first:]).max())
 
 
 def period_for(plate: Plate, seconds: float, level: int) -> float:
-    """Return the period of the lattice for a run of a duration [m]."""
+    """Return the period of the lattice for a run of some duration [m]."""
     if level == FINER:
         return min(OTHER_PERIOD * period_for(plate, seconds, FULL), WIDEST_m)
     if level < FULL and plate.back == "bonded" and plate.viscosity_Pa_s >= LOSSY_Pa_s:
@@ -97,7 +108,7 @@ def walled(plate: Plate, level: int) -> WalledDisc:
 
 
 def sampled(course: Course) -> tuple[Float, Spot, float]:
-    """Return times of the samples [s] without the start, the moving spot (width 1 m), and the end of its path [s]."""
+    """Return sample times [s] without the start, the moving spot (width 1 m), and the end of its path [s]."""
     corners = np.array(course.corners)
     way = np.vstack([corners, *[corners[1:]] * (course.turns - 1)])
     arcs = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))]) / course.speed_m_s
@@ -126,7 +137,7 @@ def focus_at(course: Course, seconds: float) -> Float:
 
 
 def run(plate: Plate, course: Course, level: int, device: str, times_s: Float | None = None) -> Motion:
-    """Return the motion at the samples of the course, or at other times [s]. It is not cached, because it is large."""
+    """Return the motion at the samples of the course, or at other times [s]. It is large, so it is not cached."""
     times, spot = _requested(plate, course, times_s)
     if plate.rim == "reflecting":
         disc = walled(plate, level)
@@ -178,9 +189,12 @@ def _off(places: Float) -> NDArray[np.bool_]:
 class Straight:
     """Quantities of a straight run along +x. Maps are at places_m along both axes [m], shape (n, n).
 
-    length_m: of the path, centred; energy: of the whole run; at_12_cm, at_seven_eighths: snapshots of the normal
-    velocity when the focus is there; largest: magnitude in the second half of the path; end_s: of the path
-    track: velocity at times_s at grid points of the middle half of the path, shape (t, k)
+    length_m: length of the path, which is centred
+    energy: energy density of the whole run
+    at_12_cm, at_seven_eighths: snapshots of the normal velocity when the focus is there
+    largest: largest magnitude in the second half of the path
+    end_s: end of the path [s]
+    track: velocity at times_s, at grid points of the middle half of the path, shape (t, k)
     """
 
     length_m: float

@@ -1,4 +1,4 @@
-"""Predict the numbers of a scan, with bands over base, depth and moduli of the skin, from its setting alone."""
+"""Predict the numbers of a scan from its setting alone. The bands cover base, depth and moduli of the skin."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,18 +22,18 @@ from palmfield_papers.reardon2023.scan_numbers import Pass, SILENCE_s, STEP_s, b
 BASES: tuple[Back, ...] = ("bonded", "free")
 MODULI = ("mid", "low", "high")
 DEPTHS_m = {"hand": (0.0045, 0.0075, 0.012), "plate": (0.009, 0.01, 0.011)}
-"""Depths: pulp, pads, and palm of the hand presets (docs/data/hand_depths.csv)."""
+"""Depths of the skin [m]: pulp, pads, and palm of the hand presets (docs/data/hand_depths.csv)."""
 MATERIALS = {"hand": "palm", "plate": "gelatin_2"}
 FAST_Hz = 500.0
 """Frequency whose shear speed sets the period of the lattice."""
 REST = 100
-"""Number of samples at rest before the start."""
+"""Number of samples at rest before the start of the stimulus."""
 ALL = "all"
 
 
 @dataclass(frozen=True)
 class Tissue(Plate):
-    """A slab of a preset. moduli: low or high end of the ranges of its numbers, or mid."""
+    """A slab with a material preset. moduli: low or high end of the ranges of its numbers, or mid"""
 
     preset: str = "palm"
     moduli: str = "mid"
@@ -50,7 +50,7 @@ class Tissue(Plate):
 
 
 def skins(preset: str, depths_m: Sequence[float], fwhm_m: float, quick: bool) -> list[Tissue]:
-    """Return the skins of the band, a middle one first; quick: one quantity varied at a time."""
+    """Return the skins of the band, a middle one first. quick: whether only one quantity is varied at a time"""
     refuse_unknown(MeasurementError, "setting: material is {}", preset, CATALOGUE)
     middle = depths_m[len(depths_m) // 2]
     found = []
@@ -64,7 +64,10 @@ def skins(preset: str, depths_m: Sequence[float], fwhm_m: float, quick: bool) ->
 
 
 def velocity(tissue: Tissue, passes: Sequence[Pass], level: int, device: str) -> list[Float]:
-    """Return the band-passed velocity at the places of passes that differ only in these, shapes (t, n)."""
+    """Return the band-passed velocity at the places of passes, shapes (t, n).
+
+    The passes may differ only in their places.
+    """
     one = passes[0]
     if one.width_m > 0.0:
         corners = zigzag_corners(one.length_m, one.width_m, one.along_m_s, one.across_m_s)
@@ -94,9 +97,10 @@ def predicted(passes: Mapping[str, Pass], tissue: Tissue, level: int, device: st
 
 
 def bands(passes: Mapping[str, Pass], of: Sequence[Tissue], quick: bool, device: str) -> dict[str, Any]:
-    """Return all numbers by skin; and by file and number the middle, its numerical error, and low and high by base.
+    """Return all numbers by skin, and their bands.
 
-    numerical_error: difference to another resolution on the first skin, at least that of quick runs
+    The bands are by file and number: middle value, its numerical error, and low and high value for each base.
+    numerical_error: difference from another resolution on the first skin, at least that of quick runs
     """
     level, other = (QUICK, COARSE) if quick else (FULL, QUICK)
     rows = {one.name: predicted(passes, one, level, device) for one in of}

@@ -1,7 +1,7 @@
 """Numbers of a pass, measured or computed, from the normal velocity at scattered places.
 
-All are ratios, lengths, speeds and frequencies, so the pressure of the focus cancels. Measured and computed velocities
-pass through the same functions at the same places and times.
+All numbers are ratios, lengths, speeds and frequencies, so the pressure of the focus cancels. Measured and computed
+velocities pass through the same functions at the same places and times.
 """
 
 import math
@@ -17,23 +17,27 @@ BAND_Hz = (20.0, 1000.0)
 OCTAVES_Hz = (31.25, 62.5, 125.0, 250.0, 500.0, 1000.0)
 STEP_s = 4e-4
 SILENCE_s = 0.04
-"""Time after the end of the path that is evaluated."""
+"""Time after the end of the path that is evaluated [s]."""
 RINGS_m = (0.0, 0.01, 0.02, 0.04, 0.06)
-"""Limits of distances from the strip of the path; energies are relative to the strip."""
+"""Limits of the distances from the strip of the path. Energies are relative to that in the strip."""
 LEAST_PLACES = 3
 BIN_m = 5e-3
 SHARE, THRESHOLD, LATERAL_m = 0.875, 0.1, 0.1
 """Wake: fraction of the path at the snapshot, fraction of the largest amplitude, and width about the path."""
 MIDDLE = 0.35
-"""Places up to this fraction of the path from its middle count for the outward speed."""
+"""Places up to this distance from the middle of the path, relative to its length, are used for the outward speed."""
 WAKE, SPEED = "wake length [cm]", "outward speed [m/s]"
 CENTROID, WIDTH = "centroid of the spectrum [Hz]", "width of the spectrum [Hz]"
 
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass. along_m_s: speed along the path; length_m, width_m, across_m_s: of the zigzag (width 0: straight)
-    places_m: in the frame of the path, x along it, origin at its middle, shape (n, 2)"""
+    """One pass of the focus.
+
+    along_m_s: speed along the path
+    length_m, width_m, across_m_s: length, width and speed across of the zigzag (width 0: straight path)
+    places_m: in the frame of the path, x along it, origin in its middle, shape (n, 2)
+    """
 
     along_m_s: float
     length_m: float
@@ -58,7 +62,7 @@ class Pass:
 
 
 def band_passed(values: Float, step_s: float) -> Float:
-    """Return records, shape (t, n), within BAND_Hz; outside the record they count as 0."""
+    """Return records, shape (t, n), filtered to BAND_Hz. Outside the record, values count as 0."""
     count = len(values) + round(0.1 / step_s)
     f = np.fft.rfftfreq(count, step_s)
     low, high = BAND_Hz
@@ -68,7 +72,8 @@ def band_passed(values: Float, step_s: float) -> Float:
 
 
 def numbers(one: Pass, velocity: Float, quiet: Float | None = None) -> dict[str, float]:
-    """Return all numbers that exist, by name. velocity: band-passed, at one.times_s, shape (t, n).
+    """Return all numbers that can be computed, by name.
+    velocity: band-passed velocity at one.times_s, shape (t, n)
 
     quiet: noise of the same shape, whose power is subtracted from spectrum and energies
     """
@@ -107,9 +112,10 @@ def envelope(one: Pass, velocity: Float) -> tuple[Float, Float]:
 
 
 def outward_speed(one: Pass, velocity: Float, noise: Float) -> float:
-    """Return the speed at which energy leaves the strip [m/s], NaN if it does not.
+    """Return the speed at which energy leaves the strip [m/s]. NaN if it does not leave it.
 
-    By distance, the mean time of the energy at a place after the focus passed is fitted by a line.
+    For each place, the mean time of the energy after the focus has passed is computed. A line is fitted to this time
+    over the distance from the strip.
     """
     off, energy = one.off_m, (velocity**2).sum(axis=0) - (noise**2).sum(axis=0)
     chosen = (off > 0.0) & (off <= RINGS_m[-2]) & (np.abs(one.places_m[:, 0]) <= MIDDLE * one.length_m)

@@ -1,4 +1,4 @@
-"""Score measured scans against registered bands: numbers with noise, a verdict each, table and picture."""
+"""Score measured scans against registered bands: numbers with noise, a verdict for each, table and picture."""
 
 import json
 from collections import Counter
@@ -33,16 +33,21 @@ from palmfield_papers.reardon2023.scans import predict, read_scans
 
 SCORE, TABLE, PICTURE = "score.json", "score.md", "scans.png"
 LEAST_QUIET_s = 5e-3
-"""Least time before the stimulus, from which noise is estimated."""
+"""Smallest time before the stimulus from which noise is estimated [s]."""
 DRAWS, SIGMAS = 16, 2.0
-"""Number of noise records added to the measured one, and standard deviations within which a number may leave a band."""
+"""Number of noise records added to the measured one; standard deviations by which a number may leave a band."""
 INSIDE, OUTSIDE, UNRESOLVED = "inside", "outside", "not resolved"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One number of one file. error: SIGMAS of its noise; numerical_error: of the prediction
-    bands, verdicts: low and high, and the verdict, for all skins and for each base alone"""
+    """One number of one file.
+
+    error: SIGMAS times the standard deviation of its noise
+    numerical_error: numerical error of the prediction
+    bands: low and high value, for all skins and for each base alone
+    verdicts: verdict for each band
+    """
 
     file: str
     number: str
@@ -57,9 +62,9 @@ def score(
     folder: Path, out: Path, *, quick: bool, device: str = "cpu", names: Mapping[str, str] | None = None,
     predict_only: bool = False,
 ) -> tuple[str, list[Verdict]]:  # fmt: skip
-    """Predict, register and, unless predict_only, score the scans of a folder; return digest and verdicts.
+    """Predict, register and, unless predict_only, score the scans of a folder. Return digest and verdicts.
 
-    Raises MeasurementError for settings, files and places before anything is computed.
+    Raises MeasurementError for invalid settings, files and places before anything is computed.
     """
     setting, files, passes = read_scans(folder, names)
     found, digest = predict(setting, passes, out, quick=quick, device=device)
@@ -76,7 +81,10 @@ def score(
 
 
 def measured(scan: NamedMat, one: Pass) -> tuple[dict[str, float], dict[str, float], set[str]]:
-    """Read a scan and return its numbers, the standard deviation of each by noise, and those that noise hides."""
+    """Read a scan.
+
+    Return its numbers, the standard deviation of each due to noise, and the numbers that noise hides.
+    """
     times, records = scan.records()
     step, before = float(times[1] - times[0]), int(np.count_nonzero(times < 0.0))
     if before * step < LEAST_QUIET_s or times[-1] < one.times_s[-1] or step > STEP_s:
@@ -100,7 +108,7 @@ def measured(scan: NamedMat, one: Pass) -> tuple[dict[str, float], dict[str, flo
 
 
 def _noise(quiet: Float, step: float, count: int, rng: np.random.Generator) -> Float:
-    """Return noise with the power of the time before the stimulus at STEP_s, shape (count, n), in random order."""
+    """Return noise with the power of the record before the stimulus, at STEP_s, shape (count, n), in random order."""
     first = rng.integers(len(quiet), size=quiet.shape[1])
     rows = (first + max(1, round(STEP_s / step)) * np.arange(count)[:, None]) % len(quiet)
     return np.asarray(np.take_along_axis(quiet, rows, axis=0) * rng.choice([-1.0, 1.0], size=quiet.shape[1]))
@@ -109,7 +117,10 @@ def _noise(quiet: Float, step: float, count: int, rng: np.random.Generator) -> F
 def judged(
     file: str, band: dict[str, Any], found: dict[str, float], spread: dict[str, float], hidden: set[str]
 ) -> list[Verdict]:
-    """Return a verdict for each predicted number: inside if the number with its noise meets the band with its error."""
+    """Return a verdict for each predicted number.
+
+    It is inside if the number with its noise overlaps the band with its numerical error.
+    """
     result = []
     for name, of in ((name, of) for name, of in band.items() if name in found):
         error, value = SIGMAS * spread[name], found[name]
@@ -140,7 +151,7 @@ def table(digest: str, verdicts: list[Verdict]) -> str:
 
 
 def drawn(verdicts: list[Verdict]) -> Figure:
-    """Draw bands and measured numbers: lengths, speeds and frequencies by file; power and energies of each file."""
+    """Draw bands and measured numbers: lengths, speeds, frequencies for all files; power, energies for each file."""
     files = list(dict.fromkeys(one.file for one in verdicts))
     figure = Figure(figsize=(11.0, 3.2 + 2.4 * len(files)), layout="constrained")
     top, below = figure.subfigures(2, 1, height_ratios=[3.2, 2.4 * len(files)], squeeze=False)[:, 0]

@@ -35,17 +35,17 @@ from palmfield_papers.reardon2023.scan_numbers import Pass
 SETTING, PREDICTIONS, DIGEST = "scans.toml", "predictions.json", "predictions.sha256"
 TABLES = ("setting", "variables", "files")
 HAND_MARGIN_m, HAND_EDGE_m = 0.008, 0.004
-"""Distance from the outline of the hand up to which a place is on it; edge of its mesh."""
+"""Distance from the outline of the hand up to which a place counts as on the hand, and edge length of its mesh."""
 HAND_SIZES = (0.75, 1.3)
-"""Allowed sizes of the hand relative to the preset, from the length of the path."""
+"""Allowed sizes of the hand relative to the preset. The size follows from the length of the path."""
 MOST_OFF = 0.1
-"""Fraction of the places that may be off the hand, as hands differ in spread of the fingers."""
+"""Fraction of the places that may be off the hand. Hands differ in the spread of their fingers."""
 
 Length = Annotated[float, Field(gt=0.0, lt=0.2)]
 
 
 class ScanSetting(Settings):
-    """Table [setting]: skin, and the path of the focus, whose start and end are in frame and unit of the places."""
+    """Table [setting]: skin, and path of the focus. Its start and end are in the frame and unit of the places."""
 
     instrument: ClassVar[str] = "setting"
     body: Literal["hand", "plate"] = "hand"
@@ -70,7 +70,7 @@ class FileSetting(Settings):
 def read_scans(
     folder: Path, names: Mapping[str, str] | None = None
 ) -> tuple[ScanSetting, dict[str, NamedMat], dict[str, Pass]]:
-    """Read setting, files and passes by name, from settings and positions alone. names: override [variables]."""
+    """Read setting, files and passes by name, from settings and positions only. names: replaces [variables]"""
     file = folder / SETTING
     with reading(file, MeasurementError, "the settings of the scans, see docs/gallery/scans.md"):
         tables = read_toml(file)
@@ -110,7 +110,7 @@ def _hand(name: str) -> tuple[Complex, complex, complex]:
 
 
 def _check_places(places: Float, setting: ScanSetting, start: Float, end: Float) -> None:
-    """Refuse places that are not on the hand or the plate."""
+    """Raise MeasurementError for places that are not on the hand or the plate."""
     mend = "correct start, end and places_unit, or remove these places from all variables"
     outline, base, tip = _hand(setting.hand)
     begin, finish = complex(*start), complex(*end)
@@ -138,9 +138,9 @@ def _check_places(places: Float, setting: ScanSetting, start: Float, end: Float)
 def predict(
     setting: ScanSetting, passes: Mapping[str, Pass], out: Path, *, quick: bool, device: str
 ) -> tuple[dict[str, Any], str]:
-    """Return predictions and their digest, which are written to `out`; those that are there for this setting are kept.
+    """Return predictions and their digest, and write both to `out`. Existing predictions for this setting are kept.
 
-    Raises MeasurementError if the predictions there are of another setting, or do not have their digest.
+    Raises MeasurementError if existing predictions belong to another setting, or do not match their digest.
     """
     width_m = setting.fwhm_m or 1e-3 * round(array_width(Setting(quick=quick, device=device)).value or math.nan, 2)
     preset = setting.material or MATERIALS[setting.body]
