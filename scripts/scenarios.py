@@ -32,7 +32,7 @@ For authors of scenes with moving hands. `mjcf/scenes/` has eight examples. To r
 mjcf/scenes/tap_button.xml --out out/tap_button`. `python scripts/scenarios.py` writes this page; do not edit it.
 
 Each example has a picture, a check of its motion or sound, and its cost. The values are from single runs with
-`accuracy` 0.2 (the stroke: 0.1) on a shared machine. Most of the error comes from the fixed cut edges of small
+`accuracy` 0.2 (stroke_palm: 0.1) on a shared machine. Most of the error comes from the fixed cut edges of small
 patches (15 to 32 mm).
 
 ## Writing one
