@@ -18,7 +18,7 @@ from palmfield.outputs.style import COLOURS, save, style
 from palmfield.types import Float, Int
 
 FOCUS = np.array([0.0, 0.0, 0.2])
-"""In the array frame [m]; every body is put with the point of its skin that is to be touched here."""
+"""Place of the focus in the array frame [m]. The tested point of the skin of each body is placed here."""
 
 HAND_EDGE_m = 1.01e-3
 FINGER_m = 0.033
@@ -27,7 +27,7 @@ SHEET_EDGE_m = 1.0e-3
 
 @dataclass(frozen=True)
 class Body:
-    """A closed mesh in the array frame [m]; the comparison looks at faces within `reach_m` of the focus."""
+    """A closed mesh in the array frame [m]; the comparison uses faces within `reach_m` of the focus."""
 
     name: str
     what: str
@@ -37,7 +37,7 @@ class Body:
 
 
 def whole_hand() -> HandSurface:
-    """The open hand of a median man, at eight triangles a wavelength."""
+    """Return the open hand of a median man, with eight triangles per wavelength."""
     return hand_surface(load_preset("open_men_p50"), HAND_EDGE_m)
 
 
@@ -47,7 +47,7 @@ def palm(hand: HandSurface) -> Body:
 
 
 def finger(hand: HandSurface) -> Body:
-    """The end of the index finger and its mirror image, so that it is closed and smooth: a capsule with two tips."""
+    """Return the end of the index finger joined to its mirror image: a closed smooth capsule with two tips."""
     vertices, faces, marks = hand.surface.vertices.copy(), hand.surface.faces, hand.landmarks
     tip, knuckle = marks["index_tip"], marks["index_knuckle"]
     axis = (tip - knuckle) / np.linalg.norm(tip - knuckle)
@@ -74,7 +74,10 @@ def finger(hand: HandSurface) -> Body:
 
 
 def cupped() -> Body:
-    """A sheet 8 mm thick bent to a gutter of 35 mm radius, 100 deg and 70 mm, hollow towards the array."""
+    """Return a sheet 8 mm thick, bent to a gutter that is hollow towards the array.
+
+    The radius is 35 mm, the angle 100 deg and the length 70 mm.
+    """
     radius, arc, length = 0.035, np.radians(100.0), 0.07
     s = np.linspace(-arc / 2, arc / 2, round(radius * arc / SHEET_EDGE_m) + 1)
     y = np.linspace(-length / 2, length / 2, round(length / SHEET_EDGE_m) + 1)
@@ -88,7 +91,10 @@ def cupped() -> Body:
 
 
 def turned(body: Body, degrees: float) -> Body:
-    """The body turned about the line along y through the focus, so that one wall comes between."""
+    """Return the body rotated so that one wall comes between focus and array.
+
+    The axis is the line along y through the focus.
+    """
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     rotation = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
     vertices = (body.vertices - FOCUS) @ rotation.T + FOCUS
@@ -96,7 +102,7 @@ def turned(body: Body, degrees: float) -> Body:
 
 
 def front(body: Body, normals: Float) -> np.ndarray:
-    """Faces that look at the array's side, within the body's reach of the focus."""
+    """Return the faces that are turned to the array, within the body's reach of the focus."""
     centroids = body.vertices[body.faces].mean(axis=1)
     return (normals[:, 2] < -0.1) & (np.linalg.norm(centroids - FOCUS, axis=1) < body.reach_m)
 
@@ -104,7 +110,7 @@ def front(body: Body, normals: Float) -> np.ndarray:
 def draw_bodies(
     path: Path, bodies: list[Body], visible: dict[str, np.ndarray], pressed: dict[str, dict[str, Float]]
 ) -> None:
-    """One row a body: ARP by each model as the array sees it, and along a line through the focus."""
+    """Draw one row per body: the ARP of each model as seen from the array, and along a line through the focus."""
     models = list(next(iter(pressed.values())))
     with style():
         figure = Figure(figsize=(15.0, 3.0 * len(bodies)), layout="constrained")
@@ -146,9 +152,10 @@ def draw_spheres(
     refinement: tuple[Float, Float],
     sweep: tuple[Float, Float, Float],
 ) -> None:
-    """Three panels.
+    """Draw three panels.
 
-    angle: degrees, |p| by elements, |p| by series; refinement: elements a wavelength, error; sweep: ka, two errors
+    angle: degrees, |p| by boundary elements, |p| by series; refinement: elements per wavelength, error; sweep: ka, two
+    errors
     """
     with style():
         figure = Figure(figsize=(12.0, 3.4), layout="constrained")

@@ -1,4 +1,4 @@
-"""What each scripted scenario shows: its panels over time, and one physical check with its figure."""
+"""Contents of each scripted scenario: its panels over time, and one physical check with its value."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ MAP_FIRST = (1.8, 1.0, 1.0)
 class Run:
     """A finished run of a scene with one array, one stimulus and one skin.
 
-    tree: its result; sim: as loaded; wakes: `stroke_velocities` by speed [m/s], for the stroke
+    tree: its result; sim: the loaded simulation; wakes: results of `stroke_velocities` by speed [m/s], for the stroke
     """
 
     tree: xr.DataTree
@@ -49,49 +49,52 @@ class Run:
     wakes: dict[float, dict[str, Float]]
 
     def only(self, kind: str) -> xr.Dataset:
-        """The one group of a kind, with the run's times."""
+        """Return the only group of a kind, with the times of the run."""
         [one] = instances(self.tree, kind).values()
         return one
 
     @cached_property
     def skin(self) -> xr.Dataset:
-        """Of the skin, with the run's times."""
+        """Return the group of the skin, with the times of the run."""
         return self.only("skin")
 
     @cached_property
     def body(self) -> xr.Dataset:
-        """Where the skin's body and its bones are."""
+        """Return the positions of the skin's body and its bones."""
         return self.only("body")
 
     @cached_property
     def focus(self) -> Float:
-        """The focus in the world [m], shape (time, 3); nan while it does not sound."""
+        """Return the focus in the world [m], shape (time, 3); nan in silence."""
         stimulus = self.only("stimulus")
         return np.where(stimulus["sounding"].values[:, None], stimulus["foci"].values[:, 0], np.nan)
 
     @cached_property
     def arp(self) -> Float:
-        """ARP on the skin [Pa], shape (time, vertex)."""
+        """Return the ARP on the skin [Pa], shape (time, vertex)."""
         return self.skin["arp"].values
 
     @cached_property
     def normal_displacement(self) -> Float:
-        """Displacement of the skin along its outward normal [m], shape (time, vertex)."""
+        """Return the displacement of the skin along its outward normal [m], shape (time, vertex)."""
         return normal_component(self.skin).values
 
     @property
     def times(self) -> Float:
-        """Ends of the skin's steps [s]."""
+        """Return the ends of the substeps of the skin [s]."""
         return self.skin["time"].values
 
     @property
     def step_times(self) -> Float:
-        """Starts of the MuJoCo steps [s]."""
+        """Return the starts of the MuJoCo steps [s]."""
         return self.body["step_time"].values
 
 
 class Story(NamedTuple):
-    """text: what happens, a paragraph; panels: their heights; tell: draws them and returns the check in words"""
+    """A scenario in words.
+
+    text: a paragraph on the motion; panels: their heights; tell: draws them, returns the check
+    """
 
     text: str
     panels: tuple[float, ...]
@@ -99,7 +102,7 @@ class Story(NamedTuple):
 
 
 def approach(run: Run, axes: list[Axes]) -> str:
-    """ARP at the palm against |p|^2 of the free field where the palm is, each a mean over an AM period."""
+    """Draw the ARP at the palm and |p|^2 of the free field at the same place, each a mean over a period of the AM."""
     times, places = _middle_of_skin(run)
     levels = _at_middle(run, times, 200.0)
     model = run.sim.runtime.model
@@ -127,7 +130,7 @@ def approach(run: Run, axes: list[Axes]) -> str:
 
 
 def hover(run: Run, axes: list[Axes]) -> str:
-    """Where the palm is when it feels most, against the circle's middle."""
+    """Draw the position of the palm at its strongest sensation, relative to the centre of the circle."""
     times, places = _middle_of_skin(run)
     levels = _at_middle(run, times, 100.0)
     inner = _whole_periods(times, 100.0)
@@ -149,7 +152,7 @@ def hover(run: Run, axes: list[Axes]) -> str:
 
 
 def tap(run: Run, axes: list[Axes]) -> str:
-    """Height of the pulp, which carries the focus, at the first burst."""
+    """Draw the height of the fingertip pulp, which carries the focus, at the first burst."""
     times, places = _middle_of_skin(run)
     focus = run.focus
     loud = run.arp.max(axis=1)
@@ -169,7 +172,7 @@ def tap(run: Run, axes: list[Axes]) -> str:
 
 
 def follow(run: Run, axes: list[Axes]) -> str:
-    """Distance of the focus from the skin that the bones carry."""
+    """Draw the distance of the focus from the skin, which is moved by bones."""
     times, places = _middle_of_skin(run)
     focus = _focus_at(run, times)
     gap = _gap(run, times, focus)
@@ -191,7 +194,7 @@ def follow(run: Run, axes: list[Axes]) -> str:
 
 
 def trace(run: Run, axes: list[Axes]) -> str:
-    """The path on the turned palm: its speed along the skin, and how far the focus is from it."""
+    """Draw the path on the rotated palm: its speed along the skin, and the distance of the focus from it."""
     times = run.times[1:]
     focus = np.array([to_local(f[None], pose_at(run.body, t))[0] for t, f in zip(times, run.focus[1:], strict=True)])
     speed = np.linalg.norm(np.diff(focus, axis=0), axis=1) / np.diff(times)
@@ -217,7 +220,7 @@ def trace(run: Run, axes: list[Axes]) -> str:
 
 
 def two_hands(run: Run, axes: list[Axes]) -> str:
-    """ARP in the shadow against ARP before and after it."""
+    """Compare the ARP in the shadow with the ARP before and after it."""
     times, _ = _middle_of_skin(run)
     levels = _at_middle(run, times, 200.0)
     inner = _whole_periods(times, 200.0)
@@ -232,7 +235,7 @@ def two_hands(run: Run, axes: list[Axes]) -> str:
 
 
 def grasp(run: Run, axes: list[Axes]) -> str:
-    """Vertical contact force on the ball against its weight, in the same motion stepped once more without sound."""
+    """Compare the vertical contact force on the ball with its weight, also in a repeated motion without sound."""
     times, ball, hand, force = _carried(run.sim, len(run.step_times))
     model = run.sim.model
     weight = float(model.body_mass[model.body("ball").id] * -model.opt.gravity[2])
@@ -261,7 +264,7 @@ def grasp(run: Run, axes: list[Axes]) -> str:
 
 
 def stroke(run: Run, axes: list[Axes]) -> str:
-    """Wake lengths at each speed."""
+    """Draw wake lengths at each speed."""
     found = []
     for (speed, seen), colour in zip(run.wakes.items(), COLOURS, strict=True):
         lengths, behind, envelope = wake_lengths(seen)
@@ -291,9 +294,9 @@ def stroke(run: Run, axes: list[Axes]) -> str:
 
 
 def stroke_velocities(speed_m_s: float) -> dict[str, Float]:
-    """Step the stroke at a speed to 90 % of its first way, on the mesh of WAKE_KEYS.
+    """Step the scenario stroke_palm at one speed to 90 % of its first pass, on the mesh of WAKE_KEYS.
 
-    Returns arc: how far the focus has gone at each moment from 60 % of the way on [m], shape (n,); velocity: of the
+    Returns arc: distance travelled by the focus at each time from 60 % of the pass on [m], shape (n,); velocity: of the
     skin's nodes along their normals [m/s], shape (n, s); places: arc lengths of points on the path [m], shape (k,);
     near: which nodes lie within PATH_NEIGHBOURHOOD_M of each, shape (k, s); unknowns: of the skin, shape ()
     """
@@ -324,10 +327,10 @@ def stroke_velocities(speed_m_s: float) -> dict[str, Float]:
 
 
 def wake_lengths(record: dict[str, Float]) -> tuple[Float, Float, Float]:
-    """Wake lengths [m] at each moment of `stroke_velocities`, and the envelope at the moment nearest to 75 % of way.
+    """Return the wake lengths [m] at each time of `stroke_velocities`, and the envelope nearest to 75 % of the pass.
 
     The wake is that of `palmfield.metrics.wake_along_path`, of nodes within PATH_NEIGHBOURHOOD_M. Returns lengths (n,),
-    distances behind the focus [m] and the envelope there over its largest.
+    distances behind the focus [m], and the envelope there relative to its maximum.
     """
     wakes = [
         wake_along_path(arc, velocity, record["places"], record["near"], WAKE_SHARE)
@@ -338,26 +341,26 @@ def wake_lengths(record: dict[str, Float]) -> tuple[Float, Float, Float]:
 
 
 def _middle_of_skin(run: Run) -> tuple[Float, Float]:
-    """Times of the MuJoCo steps [s], and the skin's middle vertex in the world then [m], shape (n, 3)."""
+    """Return times of the MuJoCo steps [s], shape (n,), and the middle of the skin in the world [m], shape (n, 3)."""
     vertex = _middle(run)
     return run.step_times, np.array([in_world(run.skin, run.body, t)[vertex] for t in run.step_times])
 
 
 def _middle(run: Run) -> int:
-    """The surface vertex nearest to the middle of the skin layer."""
+    """Return the surface vertex nearest to the middle of the skin layer."""
     rest = run.skin["rest_position"].values
     return int(np.linalg.norm(rest - 0.5 * (rest.min(axis=0) + rest.max(axis=0)), axis=1).argmin())
 
 
 def _at_middle(run: Run, times: Float, rate_Hz: float) -> Float:
-    """ARP at the skin's middle [Pa] at times [s], mean over a period about each."""
+    """Return the ARP at the middle of the skin [Pa] at times [s], as a mean over one period around each time."""
     own = run.times
     count = round(1.0 / (rate_Hz * (own[1] - own[0])))
     return np.interp(times, own, uniform_filter1d(run.arp[:, _middle(run)].astype(np.float64), count))
 
 
 def _whole_periods(times: Float, rate_Hz: float) -> Any:
-    """Times about which a whole period lies within the run."""
+    """Return the times around which a whole period lies within the run."""
     return (times - times[0] >= 0.5 / rate_Hz) & (times[-1] - times >= 0.5 / rate_Hz)
 
 
@@ -366,7 +369,7 @@ def _focus_at(run: Run, times: Float) -> Float:
 
 
 def _gap(run: Run, times: Float, focus: Float) -> Float:
-    """Distance [m] of foci in the world, shape (n, 3), from the skin at those times; nan where there is none."""
+    """Return the distance [m] of foci in the world, shape (n, 3), from the skin at those times; nan without a focus."""
     gaps = np.full(len(times), np.nan)
     for i in np.flatnonzero(np.isfinite(focus[:, 0])):
         mesh = trimesh.Trimesh(in_world(run.skin, run.body, times[i]), run.skin["face"].values, process=False)
@@ -375,7 +378,7 @@ def _gap(run: Run, times: Float, focus: Float) -> Float:
 
 
 def _displacement(axes: Axes, run: Run) -> None:
-    """Displacement of the vertex that moves most."""
+    """Draw the displacement of the vertex with the largest displacement."""
     motion = run.normal_displacement
     vertex = int(np.abs(motion).max(axis=0).argmax())
     axes.plot(1e3 * run.times, 1e6 * motion[:, vertex], color=COLOURS[1], lw=0.9)
@@ -383,7 +386,7 @@ def _displacement(axes: Axes, run: Run) -> None:
 
 
 def _carried(sim: Simulation, count: int) -> tuple[Float, Float, Float, Float]:
-    """Times [s], heights of ball and hand [m], and vertical contact force on the ball [N], of a silent run."""
+    """Return times [s], heights of ball and hand [m], and vertical contact force on the ball [N], of a silent run."""
     assert sim.path is not None
     silent = Simulation(sim.path, keys={"stimulus.drive_amplitude": 0})
     model, data = silent.model, silent.data

@@ -1,4 +1,4 @@
-"""The repository's environments, for demo.py and test.py. Standard library only: nothing is installed when it runs."""
+"""Make the repository's environments, for demo.py and test.py. It uses the standard library only."""
 
 import hashlib
 import json
@@ -18,11 +18,12 @@ LOWEST = re.compile(r"([A-Za-z0-9._-]+)\s*>=\s*([0-9][0-9A-Za-z.]*)\s*(,|$)")
 
 
 def environment(extra: str = "", venv: Path = VENV) -> Path:
-    """Python of an up-to-date environment with both distributions editable in it; makes or refreshes it where needed.
+    """Return the Python of an up-to-date environment with both distributions installed as editable.
 
+    The environment is made or refreshed if needed.
     extra: optional dependencies, "" or "test"
     venv: VENV, or LOWEST_VENV, in which each dependency of palmfield has the lowest version that pyproject.toml allows
-    Exits with a message that says how to mend it when that fails.
+    If that fails, the process exits with a message that describes the remedy.
     """
     if sys.version_info < OLDEST:
         stop(f"palmfield needs Python {OLDEST[0]}.{OLDEST[1]} or newer; this is {version()}. Run the script with one.")
@@ -66,7 +67,7 @@ def environment(extra: str = "", venv: Path = VENV) -> Path:
 
 
 def lowest() -> list[str]:
-    """Each dependency of palmfield at the lowest version that pyproject.toml allows, as pip's `name==version`."""
+    """Return each dependency of palmfield as pip's `name==version`, at the lowest version in pyproject.toml."""
     import tomllib
 
     dependencies = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
@@ -88,7 +89,7 @@ def python_of(venv: Path) -> Path:
 
 
 def fingerprint() -> str:
-    """What an environment depends on: the project's declarations, the Python that made it, and where the clone lies."""
+    """Return the inputs of an environment: the project's declarations, the Python that made it, the clone's path."""
     digest = hashlib.sha256()
     for name in ("pyproject.toml", "setup.py", f"{PAPERS}/pyproject.toml"):
         digest.update((ROOT / name).read_bytes())
@@ -108,7 +109,7 @@ def works(python: Path) -> bool:
 
 
 def make_venv(venv: Path) -> None:
-    """Make an environment anew; without its own pip where the system has split that off (Debian's python3-venv)."""
+    """Make an environment anew, without its own pip on systems without ensurepip (Debian without python3-venv)."""
     say(f"making {venv.name} with Python {version()}")
     made = subprocess.run([sys.executable, "-m", "venv", "--clear", venv], capture_output=True, text=True, check=False)
     if made.returncode == 0:
@@ -129,14 +130,17 @@ def has_pip(python: Path) -> bool:
 
 
 def installer(python: Path) -> list:
-    """Command of a pip that installs into the environment of `python`."""
+    """Return the command of a pip that installs into the environment of `python`."""
     if has_pip(python):
         return [python, "-m", "pip"]
     return [sys.executable, "-m", "pip", "--python", python]
 
 
 def run(command: list, mend: str) -> None:
-    """Run quietly in the repository; on failure show the last lines, how to mend it, and exit with 1."""
+    """Run a command quietly in the repository.
+
+    On failure it shows the last lines and the remedy, and exits with status 1.
+    """
     done = subprocess.run(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False
     )

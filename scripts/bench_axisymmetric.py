@@ -1,9 +1,9 @@
-"""Disc by harmonics and the reduced model: cost and error; writes docs/bench/skin_axisymmetric.md.
+"""Disc by harmonics and the reduced model: cost and error. Writes docs/bench/skin_axisymmetric.md.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_axisymmetric.py [--quick]
 
-The disc is 120 x 20 mm of Ecoflex 00-10, bonded below, under a Gaussian spot of 10.3 mm full width, 0.2 s, read at the
-centre and at r = 10 mm, where the circling spot starts. `--quick` leaves the random cases out.
+The disc is 120 x 20 mm of Ecoflex 00-10, bonded below, under a Gaussian spot of 10.3 mm full width, 0.2 s, evaluated at
+the centre and at r = 10 mm, where the circling spot starts. `--quick` omits the random cases.
 """
 
 import os
@@ -59,7 +59,7 @@ def loads() -> dict[str, Spot]:
 
 
 def differs(motion: Motion, reference: Motion, field: str = "displacement_m") -> float:
-    """Relative L2 over the times, the worst point's."""
+    """Return the relative L2 difference over the times, that of the worst point."""
     found, exact = getattr(motion, field), getattr(reference, field)
     return float(np.max(np.sqrt(((found - exact) ** 2).sum(axis=(0, 2)) / (exact**2).sum(axis=(0, 2)))))
 
@@ -83,7 +83,7 @@ def case_rows(sides: tuple[str, ...]) -> list[str]:
 
 
 def oracle_row() -> str:
-    """Steady AM at the end of 0.2 s on the roller disc against the series, real and imaginary part."""
+    """Compare steady AM at the end of 0.2 s on the disc with roller sides with the series, real and imaginary part."""
     load = loads()["AM 200 Hz"]
     motion = solve_axisymmetric(SkinProblem(disc("roller"), load, TIMES, POINTS, accuracy=0.002))
     last = TIMES > 0.18
@@ -105,7 +105,7 @@ def wedge(side: str, fine: float, layers: int):
 
 
 def wedge_rows() -> list[str]:
-    """The 3-D wedges beside the disc, on sides for which there is no series."""
+    """Compute the disc with 3-D wedges, for sides without a series."""
     rows = []
     load = loads()["1 ms ramp"]
     times = np.linspace(0.0, 0.02, 201)
@@ -172,8 +172,10 @@ def seconds(call, count: int) -> float:
 
 
 def random_rows(count: int = 10) -> tuple[list[str], float, float]:
-    """Random cases with a run that is finer in everything; share whose difference is at most the estimate, median of
-    estimate / difference."""
+    """Run random cases, with a finer run of each.
+
+    Return the share of cases with a difference of at most the estimate, and the median of estimate / difference.
+    """
     random = np.random.default_rng(5)
     rows, ratios = [], []
     for number in range(count):

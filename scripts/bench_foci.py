@@ -1,4 +1,4 @@
-"""Several foci at once: how loud and how even each method makes them, beside its time. Writes docs/bench/foci.md."""
+"""Compare methods for several foci: pressure, evenness and time. Writes docs/bench/foci.md."""
 
 import argparse
 import os
@@ -33,7 +33,7 @@ HEIGHT_M = 0.2
 HALF_WIDTH_M = 0.05
 APART_M = 0.02
 LOBE_M = 0.012
-"""Radius round each focus that is not searched for side lobes; the first null of a 16 x 16 board is at 10.4 mm."""
+"""Radius around each focus without search for side lobes; the first null of a 16 x 16 board is at 10.4 mm."""
 
 
 def median_s(work: Callable[[], object]) -> float:
@@ -47,7 +47,7 @@ def median_s(work: Callable[[], object]) -> float:
 
 
 def scattered(count: int, random: np.random.Generator) -> Float:
-    """Foci in one plane, anywhere in a square, none nearer than APART_M to another [m], shape (count, 3)."""
+    """Return random foci in a square of one plane, at least APART_M from each other [m], shape (count, 3)."""
     found: list[Float] = []
     while len(found) < count:
         point = np.append(random.uniform(-HALF_WIDTH_M, HALF_WIDTH_M, 2), HEIGHT_M)
@@ -63,7 +63,7 @@ def plane(step_m: float) -> Float:
 
 
 def side_lobe(field: FieldEvaluator, found: Foci, points: Float) -> float:
-    """Loudest |p| in the plane of the foci outside their lobes, over that of the quietest focus."""
+    """Return the largest |p| in the plane of the foci outside their lobes, relative to that of the weakest focus."""
     where = plane(1.5e-3)
     outside = np.linalg.norm(where[:, None] - points, axis=2).min(axis=1) > LOBE_M
     loud = np.abs(field.pressure(where[outside], found.drive).pressure).max()
@@ -76,7 +76,7 @@ def quality(found: Foci) -> tuple[float, float, float, float]:
 
 
 def starts(transfers: list[Complex]) -> tuple[float, float, float]:
-    """Quietest focus by "gsw" from its own start, and the mean and best of ten random ones, over a single focus."""
+    """Return the weakest focus of "gsw" over a single focus: own start, mean and best of ten random starts."""
     own, mean, best = [], [], []
     random = np.random.default_rng(7)
     for transfer in transfers:

@@ -1,7 +1,7 @@
-"""Thousands of focus positions on the same skin: the transfer matrix against frame by frame. Writes a markdown page.
+"""Compare the transfer matrix with frame-by-frame fields for thousands of foci on one skin. Writes a page.
 
-python scripts/bench_frames.py                      # the processor: docs/bench/frames.md
-python scripts/bench_frames.py --device cuda:0      # a GPU: prints its table only, or writes --out
+python scripts/bench_frames.py                      # CPU: docs/bench/frames.md
+python scripts/bench_frames.py --device cuda:0      # GPU: only prints its table, or writes --out
 """
 
 import argparse
@@ -39,24 +39,24 @@ FRAMES, TURNS, RADIUS_M, HEIGHT_M = 8000, 40, 0.01, 0.2
 POINTS = 20_000
 RUNS, ONE_BY_ONE, CHECKED = 5, 20, 5
 SGEMM = 4000
-"""Rows of the matrices whose product is taken as the ceiling."""
+"""Number of rows of the matrices whose product is the upper limit of the speed."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Frames and what float64 makes of CHECKED of them; expected: ARP [Pa], shape (CHECKED, POINTS)."""
+    """Frames and the float64 results for CHECKED of them; expected: ARP [Pa], shape (CHECKED, POINTS)."""
 
     name: str
     drives: Complex
     expected: Float
 
     def error(self, found: Float32) -> float:
-        """Relative L2 difference; found: ARP of all frames."""
+        """Return the relative L2 difference; found: ARP of all frames."""
         return float(np.linalg.norm(found[some()] - self.expected) / np.linalg.norm(self.expected))
 
 
 def skin() -> tuple[Float, Float]:
-    """Points on a shallow dome over the array and its normals, which look down."""
+    """Return points on a shallow dome over the array and its downward normals."""
     x, y = np.random.default_rng(0).uniform(-0.05, 0.05, (2, POINTS))
     normals = np.column_stack([4.0 * x, 4.0 * y, -np.ones(POINTS)])
     points = np.column_stack([x, y, HEIGHT_M + 2.0 * (x * x + y * y)])
@@ -64,14 +64,14 @@ def skin() -> tuple[Float, Float]:
 
 
 def circle(array: Array) -> Complex:
-    """Drives of a focus that runs round, shape (FRAMES, transducers); no two are the same."""
+    """Return the drives of a focus on a circle, shape (FRAMES, transducers), all different."""
     angle = np.linspace(0.0, 2.0 * np.pi * TURNS, FRAMES)
     places = RADIUS_M * np.column_stack([np.cos(angle), np.sin(angle), np.full(FRAMES, HEIGHT_M / RADIUS_M)])
     return np.array([focus(array, AIR, place) for place in places])
 
 
 def arp64(points: Float, normals: Float, array: Array, drive: Complex) -> Float:
-    """ARP [Pa] by the default law in float64 NumPy, from `pressure64` on."""
+    """Return the ARP [Pa] by the default law in float64 NumPy, from `pressure64`."""
     p, slope = pressure64(points, array, drive, AIR, gradient=True)
     assert slope is not None
     rho, c = density(AIR), sound_speed(AIR)
@@ -92,14 +92,14 @@ def median_s(work: Callable[[], object], runs: int = RUNS) -> float:
 
 
 def ceiling(threads: int) -> float:
-    """GFLOP/s of a large float32 product of NumPy's BLAS on so many threads."""
+    """Return the GFLOP/s of a large float32 product of NumPy's BLAS on a number of threads."""
     matrix = np.random.default_rng(0).normal(size=(SGEMM, SGEMM)).astype(np.float32)
     with threadpool_limits(threads, user_api="blas"):
         return 2e-9 * SGEMM**3 / median_s(lambda: matrix @ matrix)
 
 
 def some() -> NDArray[np.int64]:
-    """Frames that are compared with float64."""
+    """Return the frames that are compared with float64."""
     return np.linspace(0, FRAMES - 1, CHECKED).astype(int)
 
 
@@ -110,7 +110,7 @@ def one_by_one(evaluator: FieldEvaluator, points: Float, normals: Float, drives:
 
 
 def new_pages_s() -> float:
-    """Seconds by which the result's memory is dearer to fill when it's new."""
+    """Return the additional time to fill the memory of the result when it is new [s]."""
     used = np.ones((FRAMES, POINTS), np.float32)
     return median_s(lambda: np.ones_like(used)) - median_s(lambda: used.fill(2.0))
 
@@ -141,7 +141,7 @@ def on_cpu(points: Float, normals: Float, cases: list[Case]) -> list[str]:
 
 
 def gpu_s(transfer: Transfer, drives: Complex, device: str) -> float:
-    """Seconds of one call, with the GPU idle before and after."""
+    """Return the time of one call with an idle GPU before and after it [s]."""
     wp.synchronize_device(device)
     start = time.perf_counter()
     result = transfer.arp_on_gpu(drives)

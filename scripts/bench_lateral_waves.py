@@ -1,4 +1,4 @@
-"""Time and error of solver lateral_waves on the Ecoflex disc's loads and on fast foci over a nearly lossless plate.
+"""Measure time and error of solver lateral_waves: Ecoflex disc, and fast foci over a nearly lossless plate.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_lateral_waves.py [--threads 2] [--deep]
 
@@ -42,7 +42,7 @@ def reference_loads() -> dict[str, Load]:
 
 
 def timed(call, *arguments, **keywords) -> tuple[Motion, float, float]:
-    """Answer, seconds by the clock and seconds of all threads."""
+    """Return the answer, the wall time and the processor time of all threads [s]."""
     wall, busy = time.perf_counter(), time.process_time()
     motion = call(*arguments, **keywords)
     return motion, time.perf_counter() - wall, time.process_time() - busy
@@ -136,7 +136,7 @@ PAGE = ROOT / "docs" / "bench" / "skin_lateral_waves.md"
 
 
 def picked(table: list[str], columns: tuple[int, ...]) -> list[str]:
-    """Some columns of a table, given without rule, with one."""
+    """Return some columns of a table without a rule, with a rule."""
     lines = [f"| {' | '.join(cells(line)[i] for i in columns)} |" for line in table]
     return [lines[0], "|" + "---|" * len(columns), *lines[1:]]
 

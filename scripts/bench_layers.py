@@ -1,4 +1,4 @@
-"""Skin layers under whole hands, ours and others: how thick, how sound, how long; writes docs/bench/layers.md.
+"""Compare skin layers under whole hands, own and others: thickness, quality, time. Writes docs/bench/layers.md.
 
 python scripts/bench_layers.py
 """
@@ -38,14 +38,14 @@ DEPTHS_m = (0.001, 0.002, 0.003, 0.005)
 
 
 def row_of_balls(start: tuple, end: tuple, radii: tuple[float, float], count: int) -> Float:
-    """Centres and radii of balls along a line [m], shape (count, 4)."""
+    """Return centres and radii of balls along a line [m], shape (count, 4)."""
     share = np.linspace(0.0, 1.0, count)[:, None]
     a, b = np.append(start, radii[0]), np.append(end, radii[1])
     return a + share * (b - a)
 
 
 def soft_distance(balls: Float, blend_m: float, points: Float) -> Float:
-    """Soft minimum of the distances to balls [m], negative inside; points (..., 3)."""
+    """Return the soft minimum of the distances to balls [m], negative inside; points (..., 3)."""
     total = np.zeros(points.shape[:-1])
     for ball in balls:
         total += np.exp((ball[3] - np.linalg.norm(points - ball[:3], axis=-1)) / blend_m)
@@ -53,7 +53,7 @@ def soft_distance(balls: Float, blend_m: float, points: Float) -> Float:
 
 
 def blended(balls: Float, blend_m: float, voxel_m: float) -> trimesh.Trimesh:
-    """Marching cubes of balls joined by a soft minimum, slivers and all."""
+    """Return the marching-cubes mesh of balls joined by a soft minimum, with its slivers."""
     device = resolve("cpu")
     low = (balls[:, :3] - balls[:, 3:]).min(axis=0) - 3.0 * voxel_m
     count = np.ceil(((balls[:, :3] + balls[:, 3:]).max(axis=0) + 3.0 * voxel_m - low) / voxel_m).astype(int)
@@ -74,7 +74,7 @@ def as_surface(mesh: trimesh.Trimesh) -> Surface:
 
 
 def mitten() -> Surface:
-    """A mitten as marching cubes leave it: edges of 0.2 um to 6 mm, angles down to 0.002 degrees."""
+    """Return a mitten by marching cubes: edges of 0.2 um to 6 mm, angles down to 0.002 degrees."""
     rows = [
         row_of_balls((-0.025, -0.04, 0.014), (-0.03, 0.04, 0.014), (0.014, 0.014), 5),
         row_of_balls((0.025, -0.04, 0.014), (0.03, 0.04, 0.014), (0.014, 0.013), 5),
@@ -87,7 +87,7 @@ def mitten() -> Surface:
 
 
 def splayed_hand() -> Float:
-    """Balls of a hand with its fingers apart, joined with SPLAYED_BLEND_m."""
+    """Return the balls of a hand with spread fingers, joined with SPLAYED_BLEND_m."""
     rows = [
         row_of_balls((x, -0.045, 0.014), (1.1 * x, 0.04, 0.014), (0.014, 0.013), 7) for x in (-0.03, -0.01, 0.01, 0.03)
     ]
@@ -99,14 +99,14 @@ def splayed_hand() -> Float:
 
 
 def coarse_hand(subdivided: bool = True) -> Surface:
-    """A splayed hand of facets with edges of 6 mm, each cut into four or left whole."""
+    """Return a spread hand of facets with edges of 6 mm, each split into four or whole."""
     mesh = blended(splayed_hand(), SPLAYED_BLEND_m, 0.0066)
     trimesh.smoothing.filter_taubin(mesh, iterations=6)
     return as_surface(mesh.subdivide() if subdivided else mesh)
 
 
 def noisy_scan(preset: str, noise_m: float, edge_m: float = 0.003, seed: int = 1) -> Surface:
-    """A parametric hand whose vertices are moved by an rms of noise_m [m]."""
+    """Return a parametric hand whose vertices are moved at random by an rms of noise_m [m]."""
     surface = hand_surface(load_preset(preset), edge_m).surface
     noise = np.random.default_rng(seed).normal(0.0, noise_m / np.sqrt(3.0), surface.vertices.shape)
     moved = surface.vertices + noise
@@ -127,7 +127,7 @@ def bodies() -> dict[str, Surface]:
 
 
 def worst(rows: list[str]) -> list[str]:
-    """One row a hand: the worse of the whole hand and the palmar side at each thickness."""
+    """Return one row per hand: the worse result of the whole hand and the palmar side at each thickness."""
     lines = [
         "| hand | faces | thinned area [%] at 1, 2, 3, 5 mm | smallest thickness [mm] | smallest quality | volume / "
         "integral |",
@@ -165,7 +165,7 @@ def table() -> list[str]:
 
 
 def timings() -> list[str]:
-    """Load, repair and layer of an OBJ file of a hand of about 20 000 faces, wall and processor time."""
+    """Measure load, repair and layer of an OBJ file of a hand of about 20 000 faces, wall and processor time."""
     source = hand_surface(load_preset("open_men_p50"), 0.0023).surface
     lines = ["| work | wall time [s] | processor time [s] |", "|---|---|---|"]
     with tempfile.TemporaryDirectory() as folder:
@@ -187,7 +187,7 @@ def timings() -> list[str]:
 
 
 def draw() -> None:
-    """Thickness got over asked on the whole hand, palmar and dorsal."""
+    """Draw the obtained over the requested thickness on the whole hand, palmar and dorsal."""
     bounds, colours = Normalize(0.4, 1.0), colormaps["viridis"]
     surface = hand_surface(load_preset("open_women_p50"), 0.003).surface
     for depth in (0.002, 0.005):

@@ -1,9 +1,9 @@
-"""Error and cost of the particles against the exact layer; writes docs/bench/skin_particles.md.
+"""Measure error and cost of the particles relative to the exact layer; writes docs/bench/skin_particles.md.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_particles.py [--device cuda:0] [--out FILE]
 
-The reference disc is 120 x 20 mm of Ecoflex 00-10 (nu 0.495), bonded below, roller sides, under a Gaussian spot of
-10.3 mm. Its exact motion is the Fourier series, over 2 s, of the load times the exact response of the layer.
+The reference disc is 120 x 20 mm of Ecoflex 00-10 (nu 0.495), bonded below, roller sides, under a Gaussian spot of 10.3
+mm. Its exact motion is the Fourier series of the load over 2 s, times the exact response of the layer.
 """
 
 import argparse
@@ -43,7 +43,7 @@ STATIC = (
 
 
 def ramp(t: Float) -> Float:
-    """1 ms raised cosine, held."""
+    """Return a raised-cosine ramp of 1 ms, then 1."""
     return 0.5 * (1.0 - np.cos(np.pi * np.clip(t / 1e-3, 0.0, 1.0)))
 
 
@@ -52,7 +52,7 @@ def modulated(t: Float) -> Float:
 
 
 def exact_motion() -> tuple[Float, dict[str, Float]]:
-    """Times [s] and the exact push per pascal [m/Pa] at AT under each load, each on for a quarter of the period."""
+    """Return times [s] and exact displacement per pascal [m/Pa] at AT by load, each on for a quarter period."""
     times = np.arange(SAMPLES) * PERIOD / SAMPLES
     on = times < 0.25 * PERIOD
     count = round(HIGHEST_HZ * PERIOD)
@@ -92,7 +92,10 @@ def motion_rows(device: str) -> list[str]:
 
 
 def static_push(cloud: Cloud, width: float) -> Float:
-    """Static push of the face's particles under 1 Pa [m], by conjugate gradients on the particles' own forces."""
+    """Return the static displacement of particles of the face under 1 Pa [m].
+
+    It uses conjugate gradients on the forces of the particles.
+    """
     body = Particles(cloud, "cpu")
     face = cloud.columns.face
     force = np.zeros_like(cloud.points)

@@ -1,9 +1,9 @@
-"""Boundary elements on spheres, a finger, a cupped sheet and a hand; writes docs/bench/scattering.md and its pictures.
+"""Run boundary elements on spheres, a finger, a sheet and a hand; writes docs/bench/scattering.md and pictures.
 
     python scripts/bench_scattering.py [--device cuda:0] [--hand] [--commit HASH] [--out FILE]
 
---hand adds the whole open hand (100 k elements: seconds on a GPU, some minutes on two CPU cores). Pictures go to
-docs/images/scattering when the file is the default one, else beside the file.
+--hand adds the whole open hand (100 k elements: seconds on a GPU, some minutes on two CPU cores). Pictures are written
+to docs/images/scattering for the default file, else to the folder of the file.
 """
 
 import argparse
@@ -46,15 +46,15 @@ K = 2 * np.pi * FREQUENCY_HZ / sound_speed(AIR)
 ENERGY = 1.0 / (2 * density(AIR) * sound_speed(AIR) ** 2)
 
 SPHERES = [(1.0, 6), (np.pi, 6), (3.0, 6), (5.9, 9), (10.0, 15), (30.0, 46)]
-"""ka and divisions of the geodesic mesh (20 divisions^2 triangles); for ka = 1 and pi what the shape takes."""
+"""ka and divisions of the geodesic mesh (20 divisions^2 triangles); for ka = 1 and pi the least for the shape."""
 
 
 LARGEST_FOR_FAR_FORCE = 30_000
-"""Elements above which the check through a far sphere takes minutes on a CPU."""
+"""Number of elements above which the check through a far sphere takes minutes on a CPU."""
 
 
 class Memory:
-    """Peak memory: what a block of work adds to the process on the CPU, the highest so far of Warp's pool on a GPU."""
+    """Peak memory: memory that a block of work adds to the process on the CPU, or maximum of Warp's pool on a GPU."""
 
     def __init__(self, device: str) -> None:
         self.device = device
@@ -76,7 +76,7 @@ class Memory:
 
 
 def timed(body: Body, device: str, memory: Memory, sound) -> tuple[Scattering, float, float]:
-    """Solution, seconds and MB, after a first solution on a small sphere has compiled the kernels."""
+    """Return solution, seconds and MB, after a first solution on a small sphere that compiles the kernels."""
     memory.start()
     start = time.perf_counter()
     found = scatter(body.vertices, body.faces, sound, K, device=device)
@@ -88,7 +88,7 @@ def plane_wave(points: Float) -> np.ndarray:
 
 
 def sphere(ka: float, divisions: int, device: str) -> tuple[Scattering, float]:
-    """Solution and relative L2 error of its surface pressure."""
+    """Return the solution and the relative L2 error of its surface pressure."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the refinement study goes below six a wavelength
         found = scatter(*geodesic(ka / K, divisions), plane_wave, K, device=device)
@@ -101,7 +101,7 @@ def sphere_error(found: Scattering, pressure: np.ndarray, ka: float) -> float:
 
 
 def outer_surface_alone(found: Scattering, device: str) -> np.ndarray:
-    """Pressure of the equation on the outer surface only, by a dense matrix."""
+    """Return the pressure by the equation on the outer surface only, with a dense matrix."""
     layer = DoubleLayer(found.centroids, found.vertices, found.faces, K, device, np.arange(len(found.faces)))
     units = np.eye(len(found.faces))
     matrix = 0.5 * units - np.stack([layer.apply(unit) for unit in units], axis=1)
@@ -137,13 +137,16 @@ def sphere_pictures(path: Path, device: str) -> None:
 
 
 def smoothed(centroids: Float, areas: Float, values: Float, radius_m: float) -> Float:
-    """Mean over the faces within a radius, weighted by area."""
+    """Return the mean over the faces within a radius, weighted by area."""
     near = cKDTree(centroids).query_ball_point(centroids, radius_m)
     return np.array([areas[i] @ values[i] / areas[i].sum() for i in near])
 
 
 def far_force(found: Scattering, incident: FieldEvaluator, drive: np.ndarray, device: str) -> Float:
-    """Radiation force [N] by the momentum through a sphere around the body, at four triangles a wavelength."""
+    """Return the radiation force [N] from the momentum through a sphere around the body.
+
+    The sphere has four triangles per wavelength.
+    """
     low, high = found.vertices.min(axis=0), found.vertices.max(axis=0)
     radius = 0.5 * float(np.linalg.norm(high - low)) + 6e-3
     vertices, faces = geodesic(radius, round(1.1 * radius / (np.pi / (2.0 * K))))
@@ -159,7 +162,7 @@ def far_force(found: Scattering, incident: FieldEvaluator, drive: np.ndarray, de
 
 
 def compare(body: Body, device: str, memory: Memory) -> tuple[list[str], str, np.ndarray, dict[str, Float]]:
-    """Rows of the models against boundary elements, a row of cost, the faces looked at, and the ARP of each model."""
+    """Return rows of the models relative to boundary elements, a row of cost, the compared faces, and each ARP."""
     array = layout("uhev1")
     drive = focus(array, AIR, FOCUS)
     found, seconds, size = timed(body, device, memory, array_sound(array, drive, AIR, device, absorption_Np_m=0.0))

@@ -1,10 +1,10 @@
-"""Cost and error of the skin solver on the reference disc; writes docs/bench/skin_c0.md.
+"""Measure cost and error of the skin solver on the reference disc; writes docs/bench/skin_c0.md.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_skin_c0.py
 
 The disc is 120 x 20 mm of Ecoflex 00-10, bonded below, roller sides, under a Gaussian spot of 10.3 mm full width;
-errors are those of the centre's displacement against the exact Fourier-Bessel series. Set the thread counts: with
-several threads the BLAS inside SuperLU has been seen to take 200 times as long on a busy machine.
+errors are those of the displacement at the centre relative to the exact Fourier-Bessel series. Set the thread counts:
+on a busy machine, the BLAS inside SuperLU took 200 times as long with several threads.
 """
 
 import os
@@ -78,7 +78,7 @@ def exact(f_Hz: float, radius_m: float | None = RADIUS, base: str = "bonded"):
 
 
 def order_rows(system: SkinSystem) -> list[str]:
-    """Factor and solve times of the orders tried, on the matrix of a 0.2 ms step."""
+    """Return factor and solve times of the tested orders, for the matrix of a step of 0.2 ms."""
     matrix = (4.0 / STEP**2 * system.mass + system.parts[0].stiffness + system.elastic).tocsc()
     right = np.ones(system.ndof)
     rows = []

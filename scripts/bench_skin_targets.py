@@ -1,8 +1,9 @@
-"""Seconds and errors of the reference disc and of fast foci by their best solvers, medians on a quiet machine.
+"""Measure time and error of the reference disc and of fast foci by their best solvers, on a quiet machine.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_skin_targets.py [--runs 5] [--out FILE]
 
-Run it with nothing else on the machine: it says how busy that was, and what a fixed product of matrices took meanwhile.
+Times are medians. Run it without other load: it prints the load of the machine and the time of a fixed matrix product
+in the same period.
 """
 
 import argparse
@@ -38,14 +39,14 @@ MATRIX = np.random.default_rng(0).standard_normal((1000, 1000))
 
 
 def yardstick() -> float:
-    """Milliseconds of a product of two float64 matrices of 1000 x 1000 on one thread."""
+    """Return the time of a product of two float64 matrices of 1000 x 1000 on one thread [ms]."""
     begin = time.perf_counter()
     MATRIX @ MATRIX
     return 1e3 * (time.perf_counter() - begin)
 
 
 def row(name: str, runs: int, call: Callable[[], Motion], finer: Callable[[], Motion], velocity: bool = False) -> str:
-    """Median seconds by the clock and of all threads, the yardstick beside, error against the finer run, estimate."""
+    """Return median wall and processor time, the yardstick, the error relative to the finer run, and the estimate."""
     wall, busy, yards = [], [], []
     for _ in range(runs):
         yards.append(yardstick())
@@ -69,7 +70,7 @@ def row(name: str, runs: int, call: Callable[[], Motion], finer: Callable[[], Mo
 
 
 def disc_rows(runs: int, solve: Callable[..., Motion], accuracy: float) -> list[str]:
-    """Every side and load of the disc by one solver, against the disc solver's own finer run."""
+    """Run every side and load of the disc by one solver, relative to the disc solver's own finer run."""
     lines = []
     for side in SIDES:
         for name, load in loads().items():
@@ -124,7 +125,7 @@ def plate_rows(runs: int) -> list[str]:
 
 
 def short(lines: list[str], case: str) -> list[str]:
-    """Seconds, error and estimate, over all rows whose case has the same first group of a pattern."""
+    """Return time, error and estimate over all rows whose case has the same first group of a pattern."""
     kinds = [re.sub(rf"^\| {case} \|", r"| \1 |", line) for line in lines]
     return ranged(kinds, (0,), (1, 5, 6))
 

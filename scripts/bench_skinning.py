@@ -1,4 +1,4 @@
-"""Time of skinning a hand, beside copying its vertices in NumPy; writes docs/bench/skinning.md.
+"""Measure the time of skinning a hand, and of copying its vertices in NumPy; writes docs/bench/skinning.md.
 
 python scripts/bench_skinning.py [--device cuda:0]
 """
@@ -23,11 +23,11 @@ from palmfield.studies.bench.table import processor
 
 ROOT = Path(__file__).resolve().parents[1]
 EDGE_m = 0.00173
-"""Gives the median man's hand about 17 000 vertices."""
+"""Edge length [m] with which the hand of the median man has about 17 000 vertices."""
 
 
 def median_ms(run: Callable[[], object], repeats: int = 5, inner: int = 20) -> float:
-    """Median over `repeats` of the mean time of `inner` runs [ms]."""
+    """Return the median over `repeats` of the mean time of `inner` runs [ms]."""
     run()
     times = []
     for _ in range(repeats):

@@ -1,12 +1,11 @@
-"""Time and error of solver spectral_elements: the reference disc, a fast focus, a hand's layer.
+"""Measure time and error of solver spectral_elements: the reference disc, a fast focus, the layer of a hand.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_spectral_elements.py [--device cuda:0] [--out FILE]
 
-Errors of the roller disc and the endless slab are against the exact layer (palmfield/skin/analytic/layer_oracle.py)
-through its
-frequency response; those of fixed and free sides against a finer run of the same solver, and so are those of the fast
-focus; those of the hand's layer against a reduced model at 2 %. Times are with meshing and, on the disc, the coarser
-run that estimates the error; kernels are compiled before.
+Errors of the disc with roller sides and of the infinite slab are relative to the exact layer
+(palmfield/skin/analytic/layer_oracle.py) through its frequency response. Those of fixed and free sides and of the fast
+focus are relative to a finer run of the same solver, and those of the layer of a hand to a reduced model at 2 %. Times
+include meshing and, on the disc, the coarser run that estimates the error, but no compilation of kernels.
 """
 
 import argparse
@@ -49,9 +48,9 @@ def courses() -> dict[str, Spot]:
 
 
 def exact(course: Spot, times: np.ndarray, radius: float | None) -> np.ndarray:
-    """Exact displacement into the layer at PLACES, (t, 2), of a spot at rest that is switched off at END.
+    """Return the exact displacement into the layer at PLACES, (t, 2), of a fixed spot that is switched off at END.
 
-    The period of 0.6 s leaves 0.4 s to forget it; a jump's share above 4 kHz is left out.
+    The period of 0.6 s includes 0.4 s of decay; the part of a jump above 4 kHz is omitted.
     """
     period, top, step = 0.6, 4000.0, 5e-5
     count = round(period / step)
@@ -68,7 +67,7 @@ def exact(course: Spot, times: np.ndarray, radius: float | None) -> np.ndarray:
 
 
 def timed(problem: SkinProblem, **keywords):
-    """A solution, after a step or two of the same that compile what it needs."""
+    """Return a solution, after a step or two of the same problem that compile the kernels."""
     solve_spectral_elements(replace(problem, times=problem.load.times_s[:1] + 1e-4), **keywords)
     return solve_spectral_elements(problem, **keywords)
 
@@ -106,7 +105,7 @@ def disc_rows(device: str) -> list[str]:
 
 
 def fast_rows(device: str, sizes: dict[int, tuple[float, ...]]) -> list[str]:
-    """A focus at 7 m/s over an endless plate of 10 mm, snapshot of the normal velocity at the end of its way."""
+    """Measure a focus at 7 m/s over an infinite plate of 10 mm: the normal velocity at the end of its path."""
     rows = []
     grid = np.array([0.0, 0.16 / 7.0])
     load = Spot(0.006, grid, np.ones(2), np.array([[-0.08, 0.0], [0.08, 0.0]]))
@@ -133,7 +132,7 @@ def fast_rows(device: str, sizes: dict[int, tuple[float, ...]]) -> list[str]:
 
 
 def hand_rows(device: str) -> list[str]:
-    """Palmar skin of 2 mm, AM 200 Hz from rest to END, at 5 %, as `solve` does it; the median of three."""
+    """Measure palmar skin of 2 mm, AM 200 Hz from rest to END, at 5 %, as `solve` does it; the median of three."""
     skin = hand_surface(load_preset("open_men_p50"))
     patch = surface_patch(
         skin.surface, 0.002, np.zeros(3), 0.045, 0.0018, 0.0018, 0.045, max_depth_m=0.002, max_fraction=1.0

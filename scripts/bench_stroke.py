@@ -1,4 +1,4 @@
-"""A focus strokes the reference hand layer for half a second: the scene on the CPU, spectral elements on a GPU.
+"""Measure a focus that strokes the reference hand for half a second, in a scene on the CPU and on a GPU.
 
 python scripts/bench_stroke.py scene            two CPU cores; writes docs/bench/stroke.md
 python scripts/bench_stroke.py spectral_elements [--device cuda:0] [--seconds 0.5] [--save FILE.npz]
@@ -40,7 +40,7 @@ KEYS = {
 
 
 def in_scene(seconds: float) -> str:
-    """The scene stroke_palm on that layer: sound of 256 transducers, their ring-up, forces on the hand, skin."""
+    """Run the scene stroke_palm on that layer: sound of 256 transducers, their ring-up, forces on the hand, skin."""
     began, busy = time.perf_counter(), time.process_time()
     sim = palmfield.Simulation(folder("mjcf") / "scenes" / "stroke_palm.xml", keys=KEYS)
     sim.step()

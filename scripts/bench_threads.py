@@ -1,8 +1,9 @@
-"""What a second thread gives the field, beside what it gives plain hashing just then; writes docs/bench/threads.md.
+"""Compare the gain of a second thread for the field with that for hashing; writes docs/bench/threads.md.
 
 python scripts/bench_threads.py
 
-Virtual machines often lend their second core to others: one turn says little, so many are sorted by what hashing got.
+Virtual machines often lend their second core to others. One measurement is therefore not reliable; many are sorted by
+the simultaneous gain of hashing.
 """
 
 import argparse
@@ -26,11 +27,11 @@ from palmfield.types import Air
 ROOT = Path(__file__).resolve().parents[1]
 AIR = Air()
 BINS = (0.0, 1.3, 1.7, 1.9, 9.0)
-"""Bounds of what hashing on all cores did, over one."""
+"""Limits of the speed of hashing on all cores, relative to one."""
 
 
 def turns(points: int, count: int) -> list[tuple[float, float, float]]:
-    """Ratios of hashing and of the field, and the field's pairs/s on all cores, by turn."""
+    """Return the speed ratios of hashing and of the field, and the field's pairs/s on all cores, by measurement."""
     array = replace(layout("autd3_2x2"), directivity_table=None)
     drive = focus(array, AIR, np.array([0.0, 0.0, 0.2]))
     where = np.random.default_rng(0).uniform([-0.1, -0.1, 0.05], [0.1, 0.1, 0.4], (points, 3)).astype(np.float32)

@@ -2,7 +2,8 @@
 
     python scripts/check_gpu.py [--out docs/bench/gpu.md] [--commit HASH]
 
-Needs a CUDA device. A pair is one transducer and one point; times are medians of 7 with the results back on the host.
+Needs a CUDA device. A pair is one transducer and one point. Times are medians of 7 and include the transfer of the
+results to the host.
 """
 
 import argparse
@@ -51,16 +52,18 @@ def field_rows(device: str) -> list[str]:
 
 
 SLOTS = {"p": 24.5, "p + gradient": 44.75}
-"""Instructions a pair in the inner loops of mode fast, flat, as compiled for sm_90 (counted with nvdisasm); one more
-where the fall with distance is a cubic, beyond 0.4 m."""
+"""Instructions per pair in the inner loops of mode fast, flat, as compiled for sm_90 (counted with nvdisasm).
+
+Beyond 0.4 m there is one more, because the decay with distance is then a cubic.
+"""
 
 COUNTED = "0ce19cda68bb"
-"""SHA-256, first 12 digits, of the files of warp_kernels whose instructions these are, one after the other."""
+"""First 12 digits of the SHA-256 of the files of warp_kernels, in sequence, with these instruction counts."""
 
 KERNELS = ("pressure.py", "gradient.py")
 
 SINES = 3
-"""Of them on the special-function unit: a root, a sine, a cosine; it takes 16 a clock and multiprocessor."""
+"""Instructions on the special-function unit: a root, a sine, a cosine; it does 16 per clock and multiprocessor."""
 
 CHAINS = 8
 KERNEL_POINTS = 40_000_000
@@ -83,7 +86,7 @@ def multiply_add(result: wp.array(dtype=wp.float32), rounds: int, factor: wp.flo
 
 
 def issue_rate(device: str) -> float:
-    """Fused multiply-adds that this GPU does a second, which is what its schedulers issue."""
+    """Return the fused multiply-adds of this GPU per second, which is the issue rate of its schedulers."""
     result = wp.zeros(132 * 2048 * 8, dtype=wp.float32, device=device)
     times = []
     for _ in range(5):
@@ -96,7 +99,7 @@ def issue_rate(device: str) -> float:
 
 
 def counted() -> bool:
-    """Whether SLOTS are those of the kernels as they are now."""
+    """Return whether SLOTS are those of the present kernels."""
     return digest() == COUNTED
 
 
@@ -106,7 +109,7 @@ def digest() -> str:
 
 
 def ceilings(rate: float) -> str:
-    """What the GPU could do at most, in words; rate: of `issue_rate`."""
+    """Describe the upper limits of the GPU in words. rate: as returned by `issue_rate`."""
     sines = (
         f"{SINES} of these instructions are roots, sines and cosines. These alone limit the speed to "
         f"{rate / 8 / SINES / 1e12:.2f} T "
@@ -122,8 +125,10 @@ def ceilings(rate: float) -> str:
 
 
 def kernel_rows(device: str, rate: float) -> list[str]:
-    """The field kernels by themselves: points and results stay on the GPU, 996 transducers. So many points
-    that what the host prepares for a call doesn't count."""
+    """Measure the field kernels alone, with 996 transducers: points and results stay on the GPU.
+
+    The number of points makes the work of the host per call negligible.
+    """
     array, air = layout("autd3_2x2"), Air()
     array = replace(array, directivity_table=None)
     drive = focus(array, air, np.array([0.02, -0.01, 0.2]))

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Runs one scene from a bare Python and says what it cost in time and memory."""
+"""Run one scene from a bare Python, and print its time and memory."""
 
 import argparse
 import os
@@ -39,7 +39,7 @@ def main() -> int:
 
 
 def run_measured(command):
-    """Run `command`; gives its exit status and peak resident memory [bytes], 0 where the system does not tell."""
+    """Run `command`; return its exit status and peak resident memory [bytes], 0 if the system does not report it."""
     child = subprocess.Popen(command)
     if not hasattr(os, "wait4"):
         return child.wait(), 0

@@ -1,9 +1,9 @@
-"""Draw every known array and the field at its focus; writes docs/images/arrays/NAME.png and docs/arrays.md.
+"""Draw every array layout and the field at its focus; writes docs/images/arrays/NAME.png and docs/arrays.md.
 
     python scripts/draw_arrays.py [NAME ...]
 
-Fields are float64 sums (`palmfield.acoustics.reference`) at full drive in air of 20 C, 50 % humidity. With names only
-those pictures are made, and the page stays as it is.
+Fields are float64 sums (`palmfield.acoustics.reference`) at full drive in air of 20 C, 50 % humidity. With names, only
+those pictures are made, and the page does not change.
 """
 
 import argparse
@@ -34,14 +34,14 @@ ROOT = Path(__file__).resolve().parents[1]
 AIR = Air()
 RADIUS_MM = TRANSDUCER_DIAMETER_M * 500
 LABELLED = 300
-"""Arrays of at most so many transducers get a number on each."""
+"""Largest number of transducers of an array that are drawn with numbers."""
 
 Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Spot:
-    """Focus of one array. Lengths in mm, from half to half of the pressure at the focus; peak over p0 in 1/m."""
+    """Focus of one array. Lengths in mm, between the points of half the focal pressure; peak over p0 in 1/m."""
 
     peak: float
     width_x: float
@@ -51,7 +51,7 @@ class Spot:
 
 
 class Beam:
-    """Pressure over p0 [1/m] of an array focused where it is commonly used."""
+    """Pressure over p0 [1/m] of an array focused at its usual distance."""
 
     def __init__(self, name: str) -> None:
         self.array: Array = layout(name)
@@ -66,7 +66,7 @@ class Beam:
 
 
 def half_point_m(beam: Beam, axis: int, sign: int) -> float:
-    """Distance from the focus along an axis at which the pressure first falls to a half; infinite where it does not."""
+    """Return the distance from the focus along an axis to the first half pressure; infinite if there is none."""
     peak = beam.magnitude(beam.at[None])[0]
 
     def excess(offset: float) -> float:
@@ -118,7 +118,7 @@ def draw_top(axes: Axes, array: Array) -> None:
 
 
 def draw_side(axes: Axes, array: Array, at_mm: Values, across: int, show_focus: bool) -> None:
-    """Discs edge-on with their axes, seen along -y (across 0) or x (across 1)."""
+    """Draw transducers as discs seen from the side with their axes, along -y (across 0) or x (across 1)."""
     place, facing = array.positions[:, [across, 2]] * 1e3, array.normals[:, [across, 2]]
     edge = np.column_stack([facing[:, 1], -facing[:, 0]]) * RADIUS_MM
     axes.plot(*np.stack([place - edge, place + edge], axis=1).T, color="#4338ca", linewidth=2.0)
@@ -136,7 +136,7 @@ def draw_side(axes: Axes, array: Array, at_mm: Values, across: int, show_focus: 
 
 
 def draw_plane(axes: Axes, beam: Beam, across: int, up: int, u_mm: Values, v_mm: Values, peak: float) -> None:
-    """|p|/p0 over a plane through the focus, and the line of half its value there."""
+    """Draw |p|/p0 over a plane through the focus, and the line of half its value at the focus."""
     points = np.tile(beam.at, (len(u_mm) * len(v_mm), 1))
     u, v = np.meshgrid(u_mm, v_mm)
     points[:, across], points[:, up] = u.ravel() * 1e-3, v.ravel() * 1e-3
@@ -197,7 +197,7 @@ def text_mm(value: float) -> str:
 
 
 def sight_angles_deg(name: str) -> Values:
-    """Angle between a bow's axis and its speakers 1, 2 and 3, seen from the focus."""
+    """Return the angle between the axis of a bow and its speakers 1, 2 and 3, at the focus."""
     rays = (np.array(LAYOUTS[name].focus_m) - layout(name).positions)[:6]
     axis = rays.sum(axis=0)
     cosine = rays[:3] @ axis / np.linalg.norm(rays[:3], axis=1) / np.linalg.norm(axis)
@@ -205,7 +205,7 @@ def sight_angles_deg(name: str) -> Values:
 
 
 def in_phase(name: str) -> float:
-    """|p| at the focus when all transducers are driven in phase, over that when they are focused."""
+    """Return |p| at the focus with all transducers in phase, relative to |p| of a focused drive."""
     beam = Beam(name)
     together, _ = pressure64(beam.at[None], beam.array, np.ones(len(beam.array)), AIR)
     return float(abs(together[0]) / beam.array.p0_Pa_m / beam.magnitude(beam.at[None])[0])
@@ -273,7 +273,7 @@ def page(spots: dict[str, Spot]) -> str:
 
 
 def level_table(names: Iterable[str]) -> list[str]:
-    """Rows of p0 and quality, layouts with the same numbers in one row."""
+    """Return rows of p0 and quality; layouts with equal numbers share a row."""
     rows: dict[tuple[Estimate, Estimate], list[str]] = {}
     for name in names:
         rows.setdefault((LAYOUTS[name].p0, LAYOUTS[name].quality), []).append(name)

@@ -1,6 +1,7 @@
-"""Write docs/report_cards.md: report cards of the presets, of each fault of tests/hand/test_reportcard.py, of the
-meshes of scripts/verification/foreign_hands.py and of a glTF with joints, and their pictures docs/images/card_*.png and
-report_card_*.png.
+"""Write docs/report_cards.md with its pictures docs/images/card_*.png and report_card_*.png.
+
+It has report cards of the presets, of each fault of tests/hand/test_reportcard.py, of the meshes of
+scripts/verification/foreign_hands.py, and of a glTF with joints.
 
 python scripts/draw_cards.py [--commit NAME]
 """
@@ -103,7 +104,7 @@ def main() -> None:
 
 
 def preset_cards(folder: Path) -> dict[str, ReportCard]:
-    """Cards of the six presets' right hands, and of their mirror images under `<name>, left`."""
+    """Return cards of the right hands of the six presets, and of their mirror images under `<name>, left`."""
     from test_reportcard import written
 
     cards = {}
@@ -144,7 +145,7 @@ def layer_cell(layer: dict[str, Any]) -> str:
 
 
 def fault_table(folder: Path) -> list[str]:
-    """A line for each fault, with its picture where one shows it; and two that leave no mesh to examine."""
+    """Return a line for each fault, with a picture of some; also two faults without a mesh to examine."""
     from test_reportcard import FAULTS, hand, written
 
     lines = ["| fault | line of the report card |", "|---|---|"]
@@ -167,7 +168,7 @@ def fault_table(folder: Path) -> list[str]:
 
 
 def foreign_table(folder: Path) -> list[str]:
-    """A line for each mesh of other people: unit, side, verdict and what its card says of it; draws their pictures."""
+    """Return a line for each mesh of other people: unit, side, verdict and result of its card; draws their pictures."""
     from foreign_hands import HANDS, NO_HANDS, card_of
 
     lines = ["| mesh | unit, length | side (confidence) | verdict | why |", "|---|---|---|---|---|"]
@@ -209,7 +210,7 @@ def gltf_text(folder: Path) -> str:
 
 
 def draw_foreign(cards: dict[str, ReportCard], path: Path) -> None:
-    """Each hand from its palm."""
+    """Draw the palmar side of each hand."""
     with style():
         figure = Figure(figsize=(15.0, 7.5), dpi=90, layout="constrained")
         for panel, (name, card) in zip(figure.subplots(2, len(cards) // 2).ravel(), cards.items(), strict=True):
@@ -220,7 +221,7 @@ def draw_foreign(cards: dict[str, ReportCard], path: Path) -> None:
 
 
 def draw_presets(cards: dict[str, ReportCard], path: Path) -> None:
-    """Each right hand from the palm and from the back, at one scale."""
+    """Draw the palmar side and the back of each right hand at one scale."""
     shown = {name: card for name, card in cards.items() if card.facts["side"] == "right"}
     with style():
         figure = Figure(figsize=(15.0, 7.0), dpi=90, layout="constrained")

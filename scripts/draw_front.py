@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""The README's first picture: the sound on a hand, and how its skin moves, of one run.
+"""Draw the first picture of the README: sound on a hand and motion of its skin, of one run.
 
 python scripts/draw_front.py [DIR]
 
-DIR: of a run of mjcf/scenes/palm_circle.xml, which is made where it is missing (a minute on two cores).
+DIR: folder of a run of mjcf/scenes/palm_circle.xml. If it is missing, the run is made (a minute on two cores).
 """
 
 import argparse
@@ -23,12 +23,12 @@ from palmfield.outputs.style import save, style
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "images" / "front.png"
 MOMENT_S = 0.0265
-"""The focus has gone round nearly twice, and its wake with it."""
+"""Time of the picture: the focus, and its wake, have moved around the circle nearly twice."""
 MARGIN = 20
 
 
 def on_white(picture: np.ndarray, height: int) -> np.ndarray:
-    """A picture, RGB in 0..1, in the middle of a white strip of a height."""
+    """Return a picture, RGB in 0..1, in the middle of a white strip with this height."""
     picture = picture[:height, :, :3]
     above = (height - len(picture)) // 2
     result = np.ones((height, picture.shape[1] + MARGIN, 3), picture.dtype)

@@ -1,4 +1,4 @@
-"""Draw the presets by region, from the palm and from the back, and write their measures and their depth to bone.
+"""Draw the presets by region, from the palm and from the back, and write their measures and depths to bone.
 
 python scripts/draw_hands.py    writes docs/images/hands_labels.png and the tables of docs/hands.md
 """
@@ -67,7 +67,7 @@ def draw(target: Path) -> None:
 
 
 def measure_table() -> list[str]:
-    """Measures of the meshes with those of the presets, in mm."""
+    """Return the measures of the meshes and those of the presets, in mm."""
     lines = [
         "| mesh / preset [mm] | length | breadth | girth of the wrist | girth at the knuckles / ANSUR II |",
         "|---" * 5 + "|",
@@ -88,7 +88,7 @@ def measure_table() -> list[str]:
 
 
 def depth_table() -> list[str]:
-    """Depth from skin to bone by region, in mm."""
+    """Return the depth from skin to bone by region, in mm."""
     lines = ["| smallest, p10, median [mm] | `" + "` | `".join(DEPTH_PRESETS) + "` |", "|---" * 3 + "|"]
     presets = [load_preset(name) for name in DEPTH_PRESETS]
     depths = [depth_by_region(articulate(preset), hand_surface(preset, EDGE_m)) for preset in presets]

@@ -1,4 +1,4 @@
-"""Tables and pictures of the skin materials; writes docs/images/materials/*.png and docs/materials.md.
+"""Write tables and pictures of the skin materials: docs/images/materials/*.png and docs/materials.md.
 
 python scripts/draw_materials.py
 """
@@ -38,7 +38,7 @@ PAGE = ROOT / "docs" / "materials.md"
 SHADES = ("#c2410c", "#0f766e", "#4338ca", "#a16207", "#be185d", "#0369a1", "#4d7c0f", "#6b7280")
 BAND_HZ = np.geomspace(10.0, 1000.0, 61)
 GEL_SOLID = (4e4, 6e4, 30.0)
-"""E1, E2 [Pa], eta3 [Pa s] of a gel like those of Mizushima & Sato 2024, who do not print theirs."""
+"""E1, E2 [Pa], eta3 [Pa s] of a gel like those of Mizushima & Sato 2024, who do not print these values."""
 EXAMPLE = """```python
 import numpy as np
 
@@ -135,7 +135,7 @@ def solid_of(logs: np.ndarray) -> Material:
 
 
 def trade(branches: int) -> tuple[list[float], list[float]]:
-    """Rms misfit to the four speeds and decay of the best solids as the decay counts more and more."""
+    """Return the rms misfit to the speeds and the decay of the best solids, for growing weights of the decay."""
     misfits, decays = [], []
     times = np.geomspace(2e-4, 2e-3, branches) if branches > 1 else np.array([4e-4])
     start = np.log(np.concatenate([[10e3], np.full(branches, 60e3 / branches), times]))
@@ -362,7 +362,7 @@ def write(name: str, figure: Figure) -> None:
 
 
 def described() -> dict[str, list[str]]:
-    """Names of presets by their source; those that differ only in their Asker hardness are together."""
+    """Return the names of presets by their source; those that differ only in Asker hardness are together."""
     found: dict[str, list[str]] = {}
     for name, material in PRESETS.items():
         found.setdefault(re.sub(r", Asker C \d+", " (the name has its Asker C hardness)", material.source), []).append(

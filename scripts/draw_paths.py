@@ -1,5 +1,6 @@
-"""Draw letters, a circle and a line from thenar to index tip on the skin of a hand; writes
-docs/images/paths_on_skin.png.
+"""Draw letters, a circle and a line from thenar to index tip on the skin of a hand.
+
+It writes docs/images/paths_on_skin.png.
 
 python scripts/draw_paths.py
 """

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Every kind of picture of a run, small, with the page that shows them.
+"""Draw every kind of picture of a run at small size, and the page with all of them.
 
 python scripts/draw_plots.py RUN [--page docs/plots.md] [--images docs/images/plots]
 
-RUN is the folder of a run, for the committed page of `palmfield run mjcf/scenes/palm_circle.xml`.
+RUN is the folder of a run; the page in the repository is of `palmfield run mjcf/scenes/palm_circle.xml`.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Draw the named poses of a hand, seen from the palm and from the thumb's side; writes docs/images/poses.png.
+"""Draw the named poses of a hand, from the palm and from the side of the thumb; writes docs/images/poses.png.
 
 python scripts/draw_poses.py
 """

@@ -1,21 +1,24 @@
-"""Fit the presets "palm", "finger_pad" and "hitohada_*" of palmfield.skin.materials.catalogue, and print them beside
-the presets.
+"""Fit the presets "palm", "finger_pad" and "hitohada_*" of the catalogue, and print fit and preset.
 
     python scripts/fit_palm_material.py
 
-Palm and finger pad: a standard linear solid each, against the same speeds and the same decay.
-Speed: phase speed of the Rayleigh wave on deep, nearly incompressible tissue, 0.9553 of the shear wave's. Aim: rising
-to a plateau near 7 m/s at 400 Hz, as on the finger pad (Manfredi et al. 2012); 3.6, 4.6, 6.0 and 7.1 m/s at 50, 100,
-200 and 400 Hz is this project's reading of such a curve, not a table of theirs. Forearm skin is slower, 3.25 m/s at
-200 Hz (Zhang et al. 2011). Decay: u(40 mm) / u(5 mm) at 200 Hz of a spot of 10 mm full width on a layer bonded to
-bone, 12 mm deep; aim 0.085, the middle of the 0.07-0.10 that Manfredi's power law gives. No isotropic solid meets both:
-a speed that rises so fast costs more loss than the decay allows (docs/materials.md). For the palm, whose waves are
-watched over the hand, the decay counts five times as much as one speed. The finger pad is smaller than the wave is
-long there: for it the speeds count alone.
+The presets are in palmfield.skin.materials.catalogue. Palm and finger pad are fitted with a standard linear solid each,
+to the same speeds and the same decay.
 
-HITOHADA gels: Mizushima & Sato 2024 print E' at 10 Hz, and that the loss tangent rises to 100 Hz and is flat above. A
-fractional Kelvin-Voigt law has that shape; its exponent 0.2 (loss tangent at most 0.32) is assumed, its spring a tenth
-of the spring-pot's storage at 100 Hz.
+Speed: phase speed of the Rayleigh wave on deep, nearly incompressible tissue, 0.9553 of that of the shear wave. Target:
+rising to a plateau near 7 m/s at 400 Hz, as on the finger pad (Manfredi et al. 2012). The values of 3.6, 4.6, 6.0 and
+7.1 m/s at 50, 100, 200 and 400 Hz are this project's reading of such a curve; that paper has no table of them. Forearm
+skin is slower, 3.25 m/s at 200 Hz (Zhang et al. 2011).
+
+Decay: u(40 mm) / u(5 mm) at 200 Hz of a spot of 10 mm full width on a layer bonded to bone, 12 mm deep. Target: 0.085,
+the middle of the range 0.07-0.10 from Manfredi's power law. No isotropic solid meets both targets: a speed that
+rises so fast requires more loss than the decay allows (docs/materials.md). On the palm, waves are observed over the
+whole hand, so the decay has five times the weight of one speed. The finger pad is smaller than the wavelength
+there, so only the speeds count.
+
+HITOHADA gels: Mizushima & Sato 2024 print E' at 10 Hz, and state that the loss tangent rises to 100 Hz and is flat
+above. A fractional Kelvin-Voigt law has that shape. Its exponent 0.2 (loss tangent at most 0.32) is assumed, and its
+spring is a tenth of the storage modulus of the spring-pot at 100 Hz.
 """
 
 import math
@@ -67,7 +70,7 @@ def fit_site(site: str) -> Material:
 
 
 def fit_gel(name: str) -> tuple[Material, PronyFit]:
-    """The gel's Prony series over GEL_BAND_HZ; density as the preset's."""
+    """Return the Prony series of the gel over GEL_BAND_HZ; its density is that of the preset."""
     loss_angle = 0.5 * math.pi * EXPONENT
 
     def pot(f: float) -> float:

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""The licences of what palmfield needs, from the metadata of the installed packages.
+"""List the licences of palmfield's dependencies, from the metadata of the installed packages.
 
 python scripts/list_licences.py [--write docs/licences.md]
 
-Lists what `pip install palmfield` brings, dependencies of dependencies included, libraries that wheels bundle, and what
-each extra asks for.
+It lists the packages that `pip install palmfield` installs, with all indirect dependencies, the libraries in their
+wheels, and the packages of each extra.
 """
 
 import argparse
@@ -62,7 +62,7 @@ ABSENT = {
     "pylsl": "MIT License",
     "pypardiso": "BSD-3-Clause",
 }
-"""What the metadata of their wheels say, for packages of extras that the tests' environment does without."""
+"""Metadata of the wheels of packages in extras that are not installed in the environment of the tests."""
 LIBRARIES = {
     "SvtAv1Enc": "BSD-3-Clause-Clear",
     "Xau": "MIT",
@@ -120,12 +120,12 @@ LIBRARIES = {
     "xcb-xfixes": "MIT",
     "zstd": "BSD-3-Clause",
 }
-"""Of the libraries in wheels, by name. FFmpeg's are what `av._core.library_meta` says of the build."""
+"""Licences of libraries in wheels, by name. Those of FFmpeg are from `av._core.library_meta`."""
 SHARED = re.compile(r"lib(.+?)-[0-9a-f]{8}(?:-[0-9a-f]{8})?\.so")
 
 
 def licence(name: str) -> str:
-    """What a package says of its licence: the expression, else its classifiers, else the field's first line."""
+    """Return the licence in a package's metadata: the expression, else its classifiers, else the field's first line."""
     try:
         about = distribution(name).metadata
     except PackageNotFoundError:
@@ -140,7 +140,7 @@ def licence(name: str) -> str:
 
 
 def needed() -> dict[str, str]:
-    """Names of all packages that a plain install brings, and of each the one that asks for it, "" for palmfield."""
+    """Return all packages of a plain install, and for each the package that requires it, "" for palmfield."""
     found: dict[str, str] = {}
     waiting = [("palmfield", set[str]())]
     while waiting:
@@ -161,7 +161,7 @@ def needed() -> dict[str, str]:
 
 
 def extras() -> dict[str, list[str]]:
-    """What each extra of palmfield asks for, by its name."""
+    """Return the packages of each extra of palmfield, by its name."""
     found: dict[str, list[str]] = {}
     for text in requires("palmfield") or []:
         if extra := re.search(r"extra == ['\"](\w+)['\"]", text):
@@ -170,14 +170,14 @@ def extras() -> dict[str, list[str]]:
 
 
 def bundled(name: str) -> list[str]:
-    """Names of the shared libraries that an installed wheel carries in a folder of its own."""
+    """Return the names of the shared libraries that an installed wheel contains in its own folder."""
     files = distribution(name).files or []
     matches = (SHARED.match(file.name) for file in files if file.parts[0].endswith(".libs"))
     return sorted({match[1] for match in matches if match})
 
 
 def by_licence(libraries: list[str]) -> list[tuple[str, str]]:
-    """Names of libraries with one licence, and that licence; each library under the GPL by itself."""
+    """Return names of libraries with one licence, and that licence; each library under the GPL separately."""
     found: dict[str, list[str]] = {}
     for one in libraries:
         text = LIBRARIES[one]

@@ -1,4 +1,4 @@
-"""Write mjcf/hands/<preset>.xml and its articulated twin articulated_<preset without open_>.xml.
+"""Write mjcf/hands/<preset>.xml and the articulated hand articulated_<preset without open_>.xml.
 
 python scripts/make_hand_mjcf.py [PRESET ...]    default: open_men_p50
 """

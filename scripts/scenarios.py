@@ -97,7 +97,7 @@ def main() -> None:
 
 
 def simulate(name: str, out: Path, duration_s: float | None) -> None:
-    """Run a scenario; beside its results, facts.json says what it took."""
+    """Run a scenario and write its results, and facts.json with its cost."""
     processor, wall = time.process_time(), time.perf_counter()
     sim = palmfield.Simulation(SCENES / f"{name}.xml")
     result = palmfield.run(sim, out, duration_s=duration_s or DURATIONS_S.get(name), overwrite=True)
@@ -119,7 +119,7 @@ def simulate(name: str, out: Path, duration_s: float | None) -> None:
 
 
 def draw(name: str, out: Path) -> str:
-    """Picture of a finished run: the scene when loudest, and beside it the story over time. Returns the check."""
+    """Draw the picture of a finished run: the scene at its loudest, and the panels over time. Returns the check."""
     story = STORIES[name]
     wakes = {}
     if name == "stroke_palm":
@@ -139,7 +139,7 @@ def draw(name: str, out: Path) -> str:
 
 
 def commit() -> str:
-    """Short hash of the checkout, with a plus where files differ from it."""
+    """Return the short hash of the checkout, with a plus if files differ from it."""
     hash_ = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
     )
@@ -148,7 +148,7 @@ def commit() -> str:
 
 
 def write_page(results: Path) -> None:
-    """docs/scenarios.md from the facts of all scenarios that have been run."""
+    """Write docs/scenarios.md from the facts of all scenarios that have been run."""
     parts = [HEAD]
     for name, story in STORIES.items():
         path = results / name / "facts.json"
@@ -166,7 +166,7 @@ def write_page(results: Path) -> None:
 
 
 def error_in_words(skin: dict[str, Any]) -> str:
-    """What a run's estimate says of its largest displacement. skin: its entry in the summary"""
+    """Describe the error estimate of a run for its largest displacement. skin: its entry in the summary"""
     if "displacement_error_relative" not in skin:
         return f"No error estimate: {skin.get('displacement_error_missing', 'the skin did not move')}."
     error, target = skin["displacement_error_relative"], skin["accuracy_wanted_relative"]

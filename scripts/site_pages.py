@@ -1,7 +1,7 @@
-"""What the documentation site has beside docs/: the README, the changelog, examples, notebooks and the API, as pages.
+"""Add pages to the documentation site: README, changelog, examples, notebooks and API.
 
-A hook of mkdocs: `mkdocs build` (mkdocs.yml). Equations between dollars become MathML here, which browsers show
-without a script. Links to files that are not pages of the site lose their target.
+It is a hook of mkdocs: `mkdocs build` (mkdocs.yml). Equations between dollars become MathML here, which browsers show
+without a script. Links to files that are not pages of the site become plain text.
 """
 
 import importlib
@@ -23,13 +23,13 @@ LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 EQUATION = re.compile(r"\$\$(.+?)\$\$|(?<![\w$\\])\$(?=\S)([^$\n]+?)(?<=\S)\$(?![\w$])", re.DOTALL)
 CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 PLACE = "equation{}here"
-"""What stands for an equation while Markdown, which knows no MathML, makes a page."""
+"""Placeholder of an equation while Markdown makes a page, because Markdown does not support MathML."""
 EQUATIONS: dict[str, list[str]] = {}
-"""Of each page, as MathML."""
+"""Equations of each page, as MathML."""
 
 
 def api(package: str) -> str:
-    """The page of a package: its docstring, then each public name."""
+    """Return the page of a package: its docstring, then each public name."""
     full = f"palmfield.{package}" if package else "palmfield"
     module = importlib.import_module(full)
     names = sorted((name for name in module.__all__ if not name.startswith("__")), key=str.lower)
@@ -41,14 +41,14 @@ def api(package: str) -> str:
 
 
 def first_line(thing: Any) -> str:
-    """The first line of a docstring, for a table's cell; nothing for values, which have none of their own."""
+    """Return the first line of a docstring for a cell of a table; empty for values, which have no own docstring."""
     if not (inspect.isroutine(thing) or inspect.isclass(thing) or inspect.ismodule(thing)):
         return ""
     return (inspect.getdoc(thing) or "").strip().split("\n")[0].replace("|", "\\|")
 
 
 def notebook(path: Path) -> str:
-    """A notebook's cells as Markdown, with what they printed."""
+    """Return the cells of a notebook as Markdown, with their output."""
     parts = []
     for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
         source = "".join(cell["source"])
@@ -59,7 +59,7 @@ def notebook(path: Path) -> str:
 
 
 def examples() -> str:
-    """All examples with their text."""
+    """Return all examples with their text."""
     parts = ["# Examples", "Each is a file of `examples/` and runs as it stands, from the repository's folder."]
     for path in sorted((ROOT / "examples").glob("*.py")):
         text = path.read_text(encoding="utf-8")
@@ -70,7 +70,7 @@ def examples() -> str:
 
 
 def generated() -> dict[str, str]:
-    """Markdown by path in the site, of all pages that are not files of docs/."""
+    """Return Markdown by path in the site, of all pages that are not files of docs/."""
     pages = {f"api/{package or 'palmfield'}.md": api(package) for package in PACKAGES}
     pages["index.md"] = (ROOT / "README.md").read_text(encoding="utf-8")
     pages["changelog.md"] = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
@@ -81,12 +81,12 @@ def generated() -> dict[str, str]:
 
 
 def title(path: Path) -> str:
-    """The first heading of a page."""
+    """Return the first heading of a page."""
     return next(line[2:].strip() for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("# "))
 
 
 def on_config(config: Any) -> Any:
-    """Add the pages that are many to the navigation."""
+    """Add the generated pages of a group to the navigation."""
     docs = Path(config.docs_dir)
     reference = next(part["Reference"] for part in config.nav if "Reference" in part)
     reference += [{f"palmfield.{name}" if name else "palmfield": f"api/{name or 'palmfield'}.md"} for name in PACKAGES]
@@ -98,7 +98,7 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the pages that are made."""
+    """Add the generated pages."""
     for path, text in generated().items():
         files.append(File.generated(config, path, content=text))
     # Colours of code are in the page, and need no script from elsewhere
@@ -109,7 +109,7 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
-    """Point links at the site's pages, and drop those to files that the site doesn't have."""
+    """Change links to pages of the site, and remove links to files that are not in the site."""
     here = page.file.src_uri
     # Folder of the page's source in the repository: the README and the changelog lie above docs/
     base = "" if here in ("index.md", "changelog.md") else posixpath.dirname(f"docs/{here}")
@@ -147,7 +147,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
 
 
 def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
-    """Put the equations where they belong: those of their own in place of their paragraph."""
+    """Insert the equations; a displayed equation replaces its paragraph."""
     for number, written in enumerate(EQUATIONS.get(page.file.src_uri, ())):
         place = PLACE.format(number)
         html = html.replace(f"<p>{place}</p>", written) if f"<p>{place}</p>" in html else html.replace(place, written)

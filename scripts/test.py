@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Runs what CI runs, from a bare Python: ruff, mypy, the contract of imports, then pytest four times.
+"""Run the checks of CI from a bare Python: ruff, mypy, the contract of imports, then pytest four times.
 
-Pytest's closing line is the last line.
+The last line is that of pytest.
 """
 
 import argparse
@@ -19,14 +19,17 @@ import _setup
 
 RUFF = (("ruff", "check", "."), ("ruff", "format", "--check", "."))
 CHECKS = (("mypy",), ("lint-imports",))
-"""They read with one core for a minute: the lowest versions are installed and tested at the same time."""
+"""These checks use one core for a minute; meanwhile the lowest versions are installed and tested."""
 PYTEST = ("pytest", "-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder")
 IN_REAL_TIME = ("pytest", "-m", "wall_clock", "-n", "2", "--dist", "loadfile", "--reruns", "2")
-"""Two at a time, as they wait most of it, again where one failed: a machine that stands still makes a board late."""
+"""These tests run two at a time, since they mostly wait, and again after a failure.
+
+A pause of the machine delays boards.
+"""
 TIMES = ("--durations", "30", "--junitxml", "out/tests-whole.xml")
-"""What the slowest took is printed, what each took is kept: scripts/verification/slow_tests.py reads it."""
+"""Times of tests: the slowest are printed, and all are stored for scripts/verification/slow_tests.py."""
 CORES = {"SkylakeX": "Haswell", "Cooperlake": "Haswell", "SapphireRapids": "Haswell", "Nehalem": "Prescott"}
-"""OpenBLAS's names of kernels: which others to test with where it takes these; on other x86 processors "Nehalem"."""
+"""OpenBLAS kernel names: other kernels for a test, by the kernel in use; on other x86 processors "Nehalem"."""
 TELL_CORES = (
     "import json, numpy, scipy.linalg, threadpoolctl; "
     "print(json.dumps([p.get('architecture') for p in threadpoolctl.threadpool_info() if p['user_api'] == 'blas']))"
@@ -71,12 +74,12 @@ def main() -> int:
 
 
 def first_failure(python: Path, commands: tuple[tuple[str, ...], ...]) -> int:
-    """Run commands until one fails; its exit status, or 0."""
+    """Run commands until one fails; return its exit status, or 0."""
     return next((status for command in commands if (status := run(python, *command))), 0)
 
 
 def smoke_on_lowest() -> int:
-    """The smoke tests with the lowest versions allowed, which have no wheels for later Pythons than the oldest."""
+    """Run the smoke tests with the lowest allowed versions, which have wheels only for the oldest Python."""
     if sys.version_info[:2] != _setup.OLDEST:
         _setup.say(f"lowest versions are tested on Python {'.'.join(map(str, _setup.OLDEST))}: left out")
         return 0
@@ -84,7 +87,7 @@ def smoke_on_lowest() -> int:
 
 
 def another_core(python: Path) -> str | None:
-    """Kernels of OpenBLAS that sum in another order than those that numpy and scipy take here, and can run here."""
+    """Return OpenBLAS kernels that run here and sum in another order than those of numpy and scipy here."""
     own = cores(python)
     if own and platform.machine().lower() in ("x86_64", "amd64"):
         other = CORES.get(own[0], "Nehalem")
@@ -95,7 +98,7 @@ def another_core(python: Path) -> str | None:
 
 
 def cores(python: Path, **variables: str) -> list[str]:
-    """Names of the kernels that numpy's and scipy's BLAS take; empty where they don't tell, as Accelerate."""
+    """Return the kernel names of the BLAS of numpy and scipy; empty if unknown, as for Accelerate."""
     result = subprocess.run(
         [python, "-c", TELL_CORES], env={**os.environ, **variables}, capture_output=True, text=True, check=False
     )
@@ -103,7 +106,7 @@ def cores(python: Path, **variables: str) -> list[str]:
 
 
 def run(python: Path, tool: str, *options: str, **variables: str) -> int:
-    """Exit status of a tool in the environment of `python`, run with more environment variables."""
+    """Return the exit status of a tool in the environment of `python`, with additional environment variables."""
     where = [] if python == _setup.python_of(_setup.VENV) else [f"{_setup.LOWEST_VENV.name}:"]
     _setup.say(" ".join([*where, *(f"{name}={value}" for name, value in variables.items()), tool, *options]))
     # import-linter has a command only, and no module to run.

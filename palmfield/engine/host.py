@@ -80,7 +80,7 @@ class Module:
         """Add objects to the next picture of a viewer; this must not change the simulation."""
 
     def copy_from(self, other: Any) -> None:
-        """Copy the data of the same module in another mjData. mj_copyData has already copied MuJoCo's state."""
+        """Copy the data of `other`, the same module in another mjData whose state mj_copyData has copied."""
 
 
 ADVANCES = -1

@@ -231,7 +231,10 @@ def play_on_port(
     head: LogHead | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Play frames by the separate process `palmfield.drive.player`; return a report, in one sentence."""
+    """Play frames by the separate process `palmfield.drive.player`; return a report, in one sentence.
+
+    head: head of the log. Raises DeviceError if the port cannot be opened or is lost.
+    """
     if log is not None:
         assert head is not None
         FrameLog(log, head).close()

@@ -61,7 +61,8 @@ def focal_energy_ratio(
 ) -> float:
     """Return the energy inside a strip, divided by the energy outside it or by the total.
 
-    Points are weighted by area.
+    Points are weighted by area. density, x_m, y_m, inside: as for `average_residual_energy`.
+    over: "outside" or "total". Raises MeasurementError if the divisor is zero.
     """
     values, x, y = grid(density, x_m, y_m)
     weighted = cell_areas(x, y) * values

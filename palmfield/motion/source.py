@@ -47,7 +47,10 @@ class HandMotion:
 
 
 def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
-    """Return the motion that the keys of a scene define. array: frame of the first array of the scene in the world"""
+    """Return the motion that the keys of a scene define. array: frame of the first array of the scene in the world
+
+    Raises SceneError for files and functions that cannot be read or found.
+    """
     hand = None if config.hand is None else articulate(load_preset(config.hand))
     joints = hand or articulate(load_preset(DEFAULT_HAND))
     if config.keyframes is not None:

@@ -296,7 +296,10 @@ def finished_result(path: Path) -> xr.DataTree:
 
 
 def write_json(path: Path, obj: object) -> None:
-    """Write a JSON file in one atomic step. NumPy scalars and arrays become numbers and lists."""
+    """Write a JSON file in one atomic step. NumPy scalars and arrays become numbers and lists.
+
+    Raises OutputError for values that JSON cannot store (such as NaN) and if the file cannot be written.
+    """
     try:
         text = json.dumps(obj, indent=2, default=json_value, allow_nan=False)
     except (TypeError, ValueError) as error:

@@ -10,8 +10,9 @@ from palmfield.types import Float
 
 
 def mujoco_arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
-    """Return the bodies of a model as variables of group /mujoco/scene, without empty variables. Names are added to
-    elements without a name: body_N, geom_N, joint_N.
+    """Return the bodies of a model as variables of group /mujoco/scene, without empty variables.
+
+    Elements without a name are named body_N, geom_N and joint_N.
     """
     made: dict[str, NDArray[Any]] = {
         "body_name": _names(model, mujoco.mjtObj.mjOBJ_BODY, "body", model.nbody),

@@ -338,7 +338,10 @@ def _in_words(error: Exception, name: str, text: SceneText | None) -> str:
 
 
 def _place(message: str, name: str, text: SceneText | None) -> str:
-    """Return the file and line of the key, instance or setting with which a message begins."""
+    """Return the file and line of the key, instance or setting with which a message begins.
+
+    If the line is unknown, return the name of the scene.
+    """
     named = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
     element = text.key(named[1], named[2], named[3] or "") if named and text is not None else None
     sensor = re.search(r"instance '[^']*': sensor '([^']*)'", message)

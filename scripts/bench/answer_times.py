@@ -1,11 +1,11 @@
-"""How long a user waits for an answer: the demo from an empty and a full cache, a changed number, a first step.
+"""Measure the waiting time of a user: demo with empty and full cache, a changed number, a first step.
 
     python scripts/bench/answer_times.py [--times 5] [--picture docs/bench/answer_times.png]
 
-Each command runs in its own process, with caches of results and of kernels in folders of this script. "Empty" begins
-without both. The rows of another focus, frequency or level begin with the caches of the demo's command. Prints a table
-in Markdown, medians of wall time, processor time (user and system) and memory, and draws the processor time by phase
-(`palmfield run --profile`).
+Each command runs in its own process, with caches of results and of kernels in temporary folders. "Empty" begins with
+both caches empty. The rows "another focus", "another frequency" and "another level" begin with the caches that the
+command of the demo has left. Prints a table in Markdown, medians of wall time, processor time (user and system) and
+memory, and draws the processor time by phase (`palmfield run --profile`).
 """
 
 import argparse
@@ -27,12 +27,12 @@ ROOT = Path(__file__).resolve().parents[2]
 DEMO = "mjcf/scenes/palm_am200.xml"
 PHASE = re.compile(r"^│ (\w[^│]*?) +│ +([\d.]+) ", re.MULTILINE)
 TOTAL, NEXT_TABLE, SMALL_S = "all", "┃ arrays", 0.1
-"""Last row of the table of phases, head of the table after it, and largest time of phases that are drawn together."""
+"""Last row of the table of phases, heading of the next table, and largest time of phases that are drawn together."""
 FIRST_STEP = "import palmfield; palmfield.Simulation('mjcf/scenes/{}.xml').step()"
 
 
 class Case(NamedTuple):
-    """A command, and its first caches: "" for empty ones, else the name of the case whose caches it takes.
+    """A command and its initial caches: "" for empty ones, else the name of the case whose caches are used.
 
     words: arguments of `palmfield`, or one string of Python
     """
@@ -62,7 +62,7 @@ CASES = {
 
 
 class Run(NamedTuple):
-    """wall_s, cpu_s: times of a process; peak_MiB: its memory; phases: processor time by name [s]"""
+    """Measurements of a process. wall_s, cpu_s: its times; peak_MiB: its memory; phases: processor time by name [s]"""
 
     wall_s: float
     cpu_s: float
@@ -92,7 +92,7 @@ def run(case: Case, caches: Path, out: Path) -> Run:
 
 
 def measured(times: int, folder: Path) -> dict[str, list[Run]]:
-    """Run all cases in turn, so that a slow minute of the machine reaches all of them."""
+    """Run all cases in turn, so that a slow minute of the machine affects all of them."""
     runs: dict[str, list[Run]] = {name: [] for name in CASES}
     for number in range(times):
         for name, case in CASES.items():
@@ -107,7 +107,7 @@ def measured(times: int, folder: Path) -> dict[str, list[Run]]:
 
 
 def draw(runs: dict[str, list[Run]], path: Path) -> None:
-    """Draw the processor time by phase of the cases that print it: the run of the median time of each."""
+    """Draw the processor time by phase of the cases that print it, for the run with the median time of each."""
     import matplotlib
 
     matplotlib.use("Agg")

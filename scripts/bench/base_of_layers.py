@@ -1,4 +1,4 @@
-"""A palm and other regions on bone, on tissue without end and on muscle: tables for docs/skin.md.
+"""Compare bases below the palm and other regions: bone, deep tissue, muscle. Prints tables for docs/skin.md.
 
     python scripts/bench/base_of_layers.py
 

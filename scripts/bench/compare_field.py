@@ -1,9 +1,9 @@
-r"""Speed and error of palmfield's field and of other programs, side by side: `palmfield bench field` with peers.
+r"""Compare the field of palmfield with other programs in speed and error: `palmfield bench field` with peers.
 
     python scripts/bench/compare_field.py --peers-python PEERS/bin/python \
         --out docs/bench/field.md --picture docs/images/bench_field.png
 
-scripts/peers/setup.py makes PEERS; without it the programs that are not installed are named as such.
+scripts/peers/setup.py makes PEERS; without it, the report lists the missing programs.
 """
 
 import sys
@@ -22,8 +22,8 @@ COMMAND = "python scripts/bench/compare_field.py"
 def report(python: Path | None = None, **options: Any) -> str:
     """Measure, draw and return the report; options and errors as `palmfield.studies.bench.field.main`.
 
-    python: interpreter that has the programs [default: this one]
-    Raises PalmfieldError also for an interpreter that doesn't run or has no NumPy.
+    python: interpreter with the programs [default: this one]
+    Raises PalmfieldError also if the interpreter does not run or lacks NumPy.
     """
     peers = PeerMethods(
         field_peers.METHODS,

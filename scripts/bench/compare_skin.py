@@ -1,9 +1,9 @@
-r"""Skin solvers and other programs side by side on one slab: `palmfield bench skin` with peers. Takes some minutes.
+r"""Compare skin solvers with other programs on one slab (`palmfield bench skin` with peers). Takes some minutes.
 
     python scripts/bench/compare_skin.py --peers-python PEERS/bin/python \
         --out docs/bench/skin.md --picture docs/images/bench_skin.png
 
-scripts/peers/setup.py makes PEERS; a program that is not installed is named as such.
+scripts/peers/setup.py makes PEERS; without it, the report lists the missing programs.
 """
 
 import importlib.util
@@ -27,7 +27,7 @@ PEERS = {
     "warp_fem": ("warp.fem, quadratic", "warp", ((4, 2), (6, 3), (8, 4))),
     "mujoco_flex": ("MuJoCo flex, trilinear", "mujoco", ((4, 2), (8, 3), (12, 4))),
 }
-"""Of each other program: its name here, the module that it needs, cells along a side and layers."""
+"""Properties of each other program: its name here, the required module, cells along a side, and layers."""
 ABOUT = (
     f"The other programs solve once at rest and once at {F_Hz:g} Hz, on a quarter of a disc with a radius of "
     f"{1e3 * skin.RADIUS_M:g} mm. MuJoCo's flex settles on a whole disc, with the relaxed moduli. Flex gives no "
@@ -38,7 +38,7 @@ PROGRAM = Path(__file__).resolve().parent / "skin_peers.py"
 
 
 def peer(case: Case, function: str, cells: int, layers: int, python: Path) -> SkinRow:
-    """Another program, in a process of its own under `python`; its second run counts, with all compiled."""
+    """Run another program in its own process under `python`; its second run counts, when everything is compiled."""
     name, module, _ = PEERS[function]
     size = f"{cells} cells, {layers} layers"
     environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": str(ROOT)}
@@ -57,8 +57,8 @@ def peer(case: Case, function: str, cells: int, layers: int, python: Path) -> Sk
 def report(python: Path | None = None, **options: Any) -> str:
     """Measure, draw and return the report; options and errors as `palmfield.studies.bench.skin.main`.
 
-    python: interpreter for programs that this one lacks [default: none]
-    Raises PalmfieldError also for an interpreter that doesn't run or has no NumPy.
+    python: interpreter for programs that are missing in this one [default: none]
+    Raises PalmfieldError also if the interpreter does not run or lacks NumPy.
     """
     elsewhere = None if python is None else peers_python.interpreter(python)
     jobs = []

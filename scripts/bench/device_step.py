@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""What a step of a scene takes on a GPU, where the time goes, and how far its numbers are from the CPU's.
+"""Measure the time of a step of a scene on a GPU by part, and its differences from the CPU.
 
 python scripts/bench/device_step.py [SCENE ...] [--device cuda:0] [--steps 300] [--compare 12] [--timeline]
 
-SCENE is a file, or a name in mjcf/scenes. For each scene: wall time of plain mj_step, median and 99th percentile, and
-its parts: the device (one launch, with the copies in and out, until it is done), the skins' load fetched, the skins
-stepped, and all else, which is Python and MuJoCo. Then what the device takes by itself, launched again and again, and
-with --timeline each kernel and copy by itself. Differences are relative to the largest of the run.
+SCENE is a file, or a name in mjcf/scenes. For each scene it prints the wall time of mj_step, median and 99th
+percentile, and its parts: the device (one launch with the copies in and out), the transfer of the skins' load, the
+step of the skins, and the rest, which is Python and MuJoCo. Then it prints the time of the device alone over repeated
+launches, and with --timeline the time of each kernel and copy alone. Differences are relative to the maximum of the
+run.
 """
 
 import argparse
@@ -33,11 +34,11 @@ ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "mjcf" / "scenes"
 DEFAULT = ["palm_am200", "phantom_stm70", "palm_circle", "approach_withdraw", "two_hands", "two_hands_both_feel"]
 AGAIN = {"cpu": 3}
-"""Launches of the graph by itself; 200 on a GPU."""
+"""Number of launches of the graph alone; 200 on a GPU."""
 
 
 class Stopwatch:
-    """Seconds spent in some functions, by name, since `clear`."""
+    """Seconds spent in some functions since `clear`, by name."""
 
     def __init__(self) -> None:
         self.spent: dict[str, float] = {}
@@ -47,7 +48,7 @@ class Stopwatch:
         self.spent = dict.fromkeys(self.spent, 0.0)
 
     def watch(self, owner: Any, name: str, what: str) -> None:
-        """Count the time of a class's method as `what`, once."""
+        """Count the time of a class's method under the name `what`, once."""
         method = getattr(owner, name)
         if (owner, name) in self._watched:
             return
@@ -66,7 +67,7 @@ class Stopwatch:
 
 @contextmanager
 def on_device(allowed: bool) -> Iterator[None]:
-    """Whether scenes compute their sound by graphs, also on the CPU."""
+    """Set whether scenes compute their sound by graphs, also on the CPU."""
     kept = stepping.serves
     stepping.serves = lambda model: allowed
     try:
@@ -81,7 +82,7 @@ def opened(scene: Path, device: str, options: argparse.Namespace) -> palmfield.S
 
 
 def numbers(sim: palmfield.Simulation, steps: int) -> dict[str, Any]:
-    """Sensors, forces on bodies' parts and displacement of the first skin after each step."""
+    """Return sensors, forces on parts of bodies, and displacement of the first skin after each step."""
     result: dict[str, list[Any]] = {"sensors": [], "forces": [], "displacement": []}
     for _ in range(steps):
         sim.step()
@@ -92,7 +93,7 @@ def numbers(sim: palmfield.Simulation, steps: int) -> dict[str, Any]:
 
 
 def differences(here: dict[str, Any], there: dict[str, Any]) -> str:
-    """Largest difference of each quantity, relative to its largest value; of sensors, by channel."""
+    """Return the largest difference of each quantity relative to its maximum; of sensors, by channel."""
     found = []
     for name, values in here.items():
         axis = 0 if name == "sensors" else None
@@ -102,7 +103,7 @@ def differences(here: dict[str, Any], there: dict[str, Any]) -> str:
 
 
 def device_us(calls: list[Callable[[], object]], device: str, repeats: int) -> float:
-    """Median time of some calls on the device [us]; what the host takes meanwhile is in it only where it is slower."""
+    """Return the median time of some calls on the device [us]; it includes host time only where the host is slower."""
     times = []
     stream = None if device == "cpu" else wp.get_stream(device)
     for _ in range(repeats):
@@ -122,7 +123,7 @@ def device_us(calls: list[Callable[[], object]], device: str, repeats: int) -> f
 
 
 def label(work: GraphWork, call: Any) -> str:
-    """What a call of a step does."""
+    """Describe what a call of a step does."""
     owner = getattr(call, "__self__", None)
     if owner is work.inputs:
         return "poses and drives in"
@@ -136,7 +137,7 @@ def label(work: GraphWork, call: Any) -> str:
 
 
 def one_by_one(calls: list[Any]) -> list[Any]:
-    """The same calls, with branches one after the other."""
+    """Return the same calls with all branches in sequence."""
     result: list[Any] = []
     for call in calls:
         result += [one for part in call.parts for one in part] if isinstance(call, Branches) else [call]
@@ -144,7 +145,7 @@ def one_by_one(calls: list[Any]) -> list[Any]:
 
 
 def by_itself(work: GraphWork, device: str, options: argparse.Namespace) -> None:
-    """What the device takes for a step that has moved, and for one that has not."""
+    """Measure the time of the device for a step after a motion, and for a step without motion."""
     again = AGAIN.get(device, 200)
     for moved in (True, False):
         drawn_from = moved, True, tuple(work.of.skins)

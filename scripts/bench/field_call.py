@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""What one call of the field takes as a whole, with points on the device, and in the kernels alone.
+"""Measure one call of the field: in all, with points on the device, and the kernels alone.
 
 python scripts/bench/field_call.py [--device cuda:0] [--points 22000] [--repeats 200] [--layout autd3_2x2]
 
-A table by mode and result: median and 10th percentile of the time [ms], pairs of point and transducer a second by the
-median, and the difference to mode "accurate" with the same points from NumPy, over its norm. `kernels` are the launches
-of a call without checks and copies; `one part` has every thread of a GPU take all transducers. Checked are agreement
-with the float64 reference, equal bits of repeated calls, and equal results from NumPy and from the device. The exit
-status is 1 where one does not hold.
+It prints a table by mode and result: median and 10th percentile of the time [ms], pairs of point and transducer per
+second from the median, and the difference from mode "accurate" with the same points from NumPy, relative to its norm.
+`kernels` are the launches of a call without checks and copies. In `one part` each thread of a GPU sums all transducers.
+The script checks that results agree with the float64 reference, that repeated calls return equal bits, and that
+points from NumPy and from the device give equal results. Its exit status is 1 if a check fails.
 """
 
 import argparse
@@ -30,15 +30,15 @@ from palmfield.threads import cores
 from palmfield.types import Air, Field
 
 FIRST = 5
-"""Calls that are left out: kernels are compiled and graphs captured in them."""
+"""Number of omitted first calls: kernels are compiled and graphs captured in them."""
 LIMIT = 1e-4
-"""Largest difference to the reference that passes, over its norm, of mode fast at 0.05 to 0.4 m."""
+"""Largest allowed difference from the reference, relative to its norm, of mode fast at 0.05 to 0.4 m."""
 SECONDS = 2.0
-"""After which a row has repeats enough."""
+"""Time after which a row has enough repeats [s]."""
 
 
 def times(call: Callable[[], object], repeats: int, device: str) -> list[float]:
-    """Seconds of each call until its results are there, sorted."""
+    """Return the time of each call until its results are available, sorted [s]."""
     spans: list[float] = []
     until = time.perf_counter() + SECONDS
     for i in range(FIRST + repeats):
@@ -54,26 +54,26 @@ def times(call: Callable[[], object], repeats: int, device: str) -> list[float]:
 
 
 def on_host(values: Any) -> np.ndarray:
-    """Complex numbers of a result from NumPy or a device."""
+    """Return the complex numbers of a result from NumPy or a device."""
     return values.numpy().view(np.complex64)[..., 0] if isinstance(values, wp.array) else values
 
 
 def difference(found: Field, expected: Field) -> float:
-    """The larger one of pressure and gradient, over the norm."""
+    """Return the larger difference of pressure and gradient, relative to the norm."""
     pairs = [(found.pressure, expected.pressure), (found.gradient, expected.gradient)]
     errors = [np.linalg.norm(on_host(a) - on_host(b)) / np.linalg.norm(on_host(b)) for a, b in pairs if a is not None]
     return float(max(errors))
 
 
 def same(one: Field, other: Field) -> bool:
-    """Whether two results agree to the bit."""
+    """Return whether two results agree to the bit."""
     return np.array_equal(on_host(one.pressure), on_host(other.pressure)) and (
         one.gradient is None or np.array_equal(on_host(one.gradient), on_host(other.gradient))
     )
 
 
 def launches(evaluator: field.FieldEvaluator, gradient: bool) -> Callable[[], object]:
-    """The kernels of the evaluator's last call with points on its device."""
+    """Return the kernels of the last call of the evaluator with points on its device."""
     (calls,) = (kept for (_, slope, _), kept in evaluator._calls.items() if slope == gradient)
     return next(launch for (_, copied), launch in calls[0]._launches.items() if not copied)
 
@@ -137,7 +137,7 @@ def main() -> None:
 
 
 def report(mode: str, what: str, how: str, spans: list[float], points: Any, array: Any, error: float | None) -> None:
-    """A row of the table."""
+    """Return a row of the table."""
     median = statistics.median(spans)
     speed, low = len(points) * len(array) / median / 1e9, spans[len(spans) // 10]
     shown = "" if error is None else f"{error:.1e}"

@@ -1,6 +1,7 @@
-"""Other programs that compute the same field, for the comparison and for reference arrays. Nothing of palmfield's
-acoustics is used here; autd3-emulator, levitate and numba may be missing or live in an environment of their own
-(scripts/peers/setup.py makes one).
+"""Other programs that compute the same field, for the comparison and for reference arrays.
+
+Nothing of palmfield's acoustics is used here. autd3-emulator, levitate and numba may be missing, or be installed in
+another environment (scripts/peers/setup.py makes one).
 """
 
 import math
@@ -14,16 +15,16 @@ from palmfield.studies.bench.problem import MOST_RUNS, Method, Problem
 from palmfield.types import Float
 
 CHUNK = 256
-"""Points at a time, for programs that make a whole matrix of points and transducers."""
+"""Number of points per block, for programs that build a whole matrix of points and transducers."""
 
 UNIT = 249
-"""Transducers of one AUTD3 unit."""
+"""Number of transducers of one AUTD3 unit."""
 
 EMULATOR_P0_PA_M = 275.574246625 * 0.2 / (4.0 * math.pi)
-"""Peak pressure at 1 m that autd3-emulator 0.12 gives a transducer: its T4010A1 amplitude over 4 pi [Pa m]."""
+"""Peak pressure at 1 m of a transducer in autd3-emulator 0.12: its T4010A1 amplitude over 4 pi [Pa m]."""
 
 PERIODS = MOST_RUNS + 1
-"""Periods of ultrasound recorded by the emulator: one a run, and one before anything is measured."""
+"""Number of periods of ultrasound that the emulator records: one per run, and one before the measurement."""
 
 
 def numpy_prepare(problem: Problem) -> tuple[Problem, NDArray[np.float32], NDArray[np.float32]]:
@@ -31,7 +32,7 @@ def numpy_prepare(problem: Problem) -> tuple[Problem, NDArray[np.float32], NDArr
 
 
 def numpy_run(state: tuple[Problem, NDArray[np.float32], NDArray[np.float32]]) -> NDArray[np.complex64]:
-    """The sum in NumPy float32, 256 points at a time, in buffers that stay in the cache and are never freed."""
+    """Compute the sum in NumPy float32, 256 points at a time, in cached buffers that are never freed."""
     problem, points, buffers = state
     turns_per_m = np.float32(problem.wavenumber / (2.0 * np.pi))
     beta = np.float32(problem.absorption_Np_m)
@@ -91,7 +92,7 @@ def levitate_run(state: tuple[Any, Problem, Float]) -> NDArray[np.complex128]:
 
 
 def emulator_geometry(positions: Float) -> Any:
-    """AUTD3 units whose transducers lie at `positions` [m], shape (units x 249, 3). ValueError where they don't."""
+    """Return AUTD3 units with transducers at `positions` [m], shape (units x 249, 3). ValueError if they do not fit."""
     from autd3_core import Autd3, Geometry
 
     geometry = Geometry([Autd3(1e3 * origin) for origin in positions[::UNIT]])
@@ -102,7 +103,7 @@ def emulator_geometry(positions: Float) -> Any:
 
 
 def emulator_record(geometry: Any, phase: NDArray[np.uint8], intensity: NDArray[np.uint8], periods: int) -> Any:
-    """What the emulated units emit for bytes of phase and intensity, shape (transducers,), without silencer."""
+    """Return the emission of the emulated units for bytes of phase and intensity, shape (transducers,), no silencer."""
     from autd3.commands import Pattern, SetSilencer
     from autd3_core import Duration
     from autd3_emulator import Emulator
@@ -121,7 +122,7 @@ def emulator_record(geometry: Any, phase: NDArray[np.uint8], intensity: NDArray[
 
 
 def emulator_field(record: Any, low_m: Float, steps: NDArray[np.int64], resolution_m: float, speed_m_s: float) -> Any:
-    """The emulator's sound field (rms) at the points of a grid; ValueError where its points are others."""
+    """Return the emulator's sound field (rms) at the points of a grid; ValueError if its points differ."""
     from autd3_core import Velocity
     from autd3_emulator import Grid, RmsRecordOption
 
@@ -134,7 +135,7 @@ def emulator_field(record: Any, low_m: Float, steps: NDArray[np.int64], resoluti
 
 
 def emulator_next(field: Any) -> NDArray[np.float64]:
-    """Magnitude (peak) of the next period of a field, shape (n,)."""
+    """Return the magnitude (peak) of the next period of a field, shape (n,)."""
     from autd3_core import Duration
 
     return math.sqrt(2.0) * field.next(Duration.from_micros(25)).to_numpy()[:, 0].astype(float)
@@ -154,7 +155,7 @@ def emulator_run(state: tuple[Any, float]) -> NDArray[np.float64]:
 
 
 def numba_prepare(polynomial: bool) -> Callable[[Problem], Any]:
-    """A `prepare` with numba kernels: sine, cosine and exponential of the C library, or short polynomials."""
+    """Return a `prepare` with numba kernels: sine, cosine and exponential of the C library, or short polynomials."""
 
     def prepare(problem: Problem) -> Any:
         from numba_kernels import libm, polynomials

@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
-"""How exact the force of the sound on a body is, by how many samples it is added up from and by which rule.
+"""Measure the error of the force of the sound on a body by number of samples and summation rule.
 
 python scripts/bench/force_samples.py [SCENE ...] [--times 4] [--lit 4] [--accuracy 0.0035 0.006] [--rows PAGE]
 
 SCENE is a name in mjcf/scenes, or "box": a cube in place of the hand. The force, and the torque about the origin of the
-body, are computed at some times of the scene, for the focus of the stimulus then, for foci at --lit places of the lit
-side, and for foci 10 and 30 mm in front of these and 20 mm behind. Reference: the same faces cut in sixteen. Samples
-are those of the key force_accuracy. Rows give the root mean square over the foci of a scene, and the largest, of
-the force in per cent of it, and of the torque in per cent of the force times the root mean square arm. With --rows they
-are kept in the folder data next to a page. The table has the worst scene of each accuracy and place.
+body, are computed at some times of the scene: for the focus of the stimulus at that time, for foci at --lit places of
+the lit side, and for foci 10 and 30 mm in front of these places and 20 mm behind them. The reference has each face
+split into sixteen. Samples are those of the key force_accuracy. Rows contain the root mean square and the maximum over
+the foci of a scene: of the force in per cent of the force, and of the torque in per cent of the force times the root
+mean square arm. With --rows they are written to the folder data next to a page. The table has the worst scene of each
+accuracy and place.
 """
 
 import argparse
@@ -33,7 +34,7 @@ from palmfield.types import Complex, Float, Int
 SCENES = folder("mjcf") / "scenes"
 DEFAULT = ["palm_am200", "palm_circle", "approach_withdraw", "follow_fingertip", "hover_explore", "trace_shape", "box"]
 BOX_m = 0.06
-"""Edge of a cube that stands for the hand of the first scene in the row "box"."""
+"""Edge of the cube that replaces the hand of the first scene in the row "box"."""
 OFF_m = {"on the lit side": 0.0, "10 mm in front": -0.01, "30 mm in front": -0.03, "20 mm behind": 0.02}
 """Foci by their distance from places of the lit side, along the axis of the arrays."""
 HEAD = [
@@ -41,17 +42,17 @@ HEAD = [
     "|---|---|---|---|---|---|---|---|---|",
 ]
 Samples = tuple[Float, Float, Float]
-"""Points [m] and outward normals there, and the area by which each pushes, as a vector [m2], all (n, 3)."""
+"""Points [m], outward normals there, and the area of each as a vector [m2], all (n, 3)."""
 
 
 def of_faces(vertices: Float, faces: Int) -> Samples:
-    """One sample a face."""
+    """Return one sample per face."""
     samples = face_samples(vertices, faces)
     return samples.centroids, samples.normals, samples.areas[:, None] * samples.normals
 
 
 def resultant(posed: PosedScene, samples: Samples, drive: Complex, law: object, origin: Float) -> tuple[Float, Float]:
-    """Force [N] and torque [N m] about a point."""
+    """Return force [N] and torque [N m] about a point."""
     points, normals, pushes = samples
     arp = SurfaceArp(posed.arrays.field, len(points), law).evaluate(points, normals, drive).arp  # type: ignore[arg-type]
     push = -arp.astype(np.float64)[:, None] * pushes
@@ -59,7 +60,7 @@ def resultant(posed: PosedScene, samples: Samples, drive: Complex, law: object, 
 
 
 def measure(scene: str, times: int, lit: int, accuracies: list[float]) -> list[str]:
-    """Return a scene's rows."""
+    """Return the rows of a scene."""
     sim = load(SCENES / f"{DEFAULT[0] if scene == 'box' else scene}.xml", device="cpu", accuracy=0.5)
     random = np.random.default_rng(1)
     errors: dict[str, list[tuple[float, float]]] = {}
@@ -113,7 +114,7 @@ def measure(scene: str, times: int, lit: int, accuracies: list[float]) -> list[s
 
 
 def worst(rows: list[str]) -> list[str]:
-    """A table of the worst scene for each accuracy and place of the foci."""
+    """Return a table of the worst scene for each accuracy and place of the foci."""
     lines = [
         "| force_accuracy | foci | force error [%]: rms, largest | torque error [%]: rms, largest |",
         "|---|---|---|---|",

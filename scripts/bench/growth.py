@@ -1,12 +1,13 @@
-"""How the cost of a skin grows with the accuracy and with the radius of its patch.
+"""Measure the cost of a skin by accuracy and by radius of its patch.
 
     python scripts/bench/growth.py [--scene palm_am200] [--times 3] [--picture docs/bench/growth.png]
 
-Each point runs the scene in its own process, on one thread, without a cache of results: one with key `accuracy`, others
-with key `patch_radius_m`. It prints unknowns, processor time of one factorisation, of the reduced model and of the
-error estimate (without kernels), numbers in the factor, and the memory that the run adds to that of the imports: up to
-its reduced model, and in all. Exponents are slopes of log(cost) over log(unknowns), with their standard errors. Those
-of the estimate and of the whole memory are for the points whose estimate compares with a coarser mesh.
+Each point runs the scene in its own process, on one thread, without a cache of results. Points of the first series set
+key `accuracy`, those of the second key `patch_radius_m`. It prints unknowns, processor time of one factorisation, of
+the reduced model and of the error estimate (without kernels), numbers in the factor, and the memory of the run without
+that of the imports: up to its reduced model, and in total. Exponents are slopes of log(cost) over log(unknowns), with
+their standard errors. The exponents of the estimate and of the total memory use only points whose estimate uses a
+coarser mesh.
 """
 
 import argparse
@@ -32,7 +33,7 @@ COSTS = {
     "model_MiB": "memory of the model [MiB]", "estimate_s": "estimate [CPU s]", "peak_MiB": "memory of all [MiB]",
 }  # fmt: skip
 OF_COARSER = ("estimate_s", "peak_MiB")
-"""Costs whose exponents are for points with a coarser mesh in the estimate."""
+"""Costs whose exponents use only points with a coarser mesh in the estimate."""
 HEADS = {
     "accuracy": "accuracy",
     "radius": "patch radius [m]",

@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
-"""How often the guided mode of a scan is resolved, and its error: docs/bench/guided_modes.md.
+"""Measure how often the guided mode of a scan is resolved, and its error: docs/bench/guided_modes.md.
 
 python scripts/bench/guided_modes.py --seed SEED [--again SEED ...] [--random 100] [--out docs/bench/guided_modes.md]
 
-Scans of bonded layers by elements through the depth, which is another model than the fit's (tests/helpers): a
-fractional material, beams at 45 degrees that see motion along the surface, a grid that is told 1 mm off its place,
-noise. First a table of layers and frequencies, then layers, materials, grids, beams and noise drawn at random. Beside
-each answer stands the Cramer-Rao bound: no estimator without bias that is told how many waves there are, and their true
-values, and has their amplitudes and the source's place to find, has a smaller standard deviation in such noise.
+The scans are of bonded layers, computed by elements through the depth (tests/helpers), a different model from that of
+the fit. Each has a fractional material, beams at 45 degrees that also measure motion along the surface, an error of
+1 mm in the position of the grid, and noise. First there is a table of layers and frequencies, then layers, materials,
+grids, beams and noise are random. The Cramer-Rao bound is listed with each answer: no unbiased estimator has a smaller
+standard deviation in such noise if it knows the number of waves and their true values, and only fits their amplitudes
+and the place of the source.
 """
 
 import argparse
@@ -39,13 +40,13 @@ REASONS = {
     "below the noise": "possible hidden wave",
     "uncertainty": "noise",
 }
-"""Kinds of reasons, by words of `palmfield.instruments.guided_mode.guided_mode_fit`"""
+"""Kinds of reasons, by words of `palmfield.instruments.guided_mode.guided_mode_fit`."""
 COUNTED = 0.03
-"""Waves that carry less of the motion are left out of the bound: their amplitudes would only widen it."""
+"""Waves with a smaller share of the motion are omitted from the bound: their amplitudes would only widen it."""
 
 
 class Case(NamedTuple):
-    """A scan: layer, material as of `fractional`, grid, beam and noise."""
+    """A simulated scan: layer, material as of `fractional`, grid, beam and noise."""
 
     f_Hz: float
     thickness_m: float
@@ -60,8 +61,12 @@ class Case(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """true: the strongest travelling wave; bound: of it; reported: the fit's; error: of the strongest
-    right: each wave told is within LIMIT of one of the layer's, and the strongest is the layer's or carries 0.8 of that
+    """Result of a scan.
+
+    true: the strongest travelling wave; bound: its bound; reported: result of the fit; error: its error
+
+    right: whether each reported wave is within LIMIT of a wave of the layer, and the strongest is that of the layer or
+    has at least 0.8 of its amplitude
     """
 
     case: Case
@@ -77,7 +82,7 @@ class Answer(NamedTuple):
 
 
 def answered(case: Case, rng: np.random.Generator) -> Answer:
-    """Make a scan, fit it, compare."""
+    """Make a scan, fit it, and compare."""
     material = fractional(case.f_Hz, case.stiff_Pa, case.pot_Pa, 100.0, case.power)
     layer = GuidedLayer(case.f_Hz, material, case.thickness_m)
     grid = disc_grid(case.half_m, case.pitch_m)
@@ -120,7 +125,7 @@ def answered(case: Case, rng: np.random.Generator) -> Answer:
 
 
 def bound(k: Any, fields: Any, ways: Any, tilt: float, noise: float) -> Any:
-    """The Cramer-Rao bound of each wavenumber, relative to |k|; amplitudes and the source's place are free."""
+    """Return the Cramer-Rao bound of each wavenumber relative to |k|; amplitudes and source position are free."""
 
     def rings(one: complex, at: Any) -> Any:
         r = np.linalg.norm(at, axis=1)
@@ -151,7 +156,7 @@ def bound(k: Any, fields: Any, ways: Any, tilt: float, noise: float) -> Any:
 
 
 def drawn(rng: np.random.Generator) -> Case:
-    """A case at random."""
+    """Return a random case."""
     return Case(
         rng.uniform(80.0, 500.0), rng.uniform(0.003, 0.025), 8e3 * math.exp(rng.uniform(-1.0, 1.0)),
         6e3 * math.exp(rng.uniform(-1.0, 0.7)), rng.uniform(0.15, 0.5), rng.uniform(0.04, 0.08),
@@ -161,7 +166,7 @@ def drawn(rng: np.random.Generator) -> Case:
 
 
 def summary(draw: str, answers: list[Answer]) -> str:
-    """Counts of a draw in a row of the page's table."""
+    """Return the counts of a series as a row of the table on the page."""
     wide = [one for one in answers if one.wide]
     reported = [one for one in answers if one.reported is not None]
     errors = sorted(one.error for one in reported) or [math.nan]

@@ -1,12 +1,12 @@
-"""How long Ctrl-C takes to end `palmfield run` and `palmfield prepare`, and what it leaves on the disk.
+"""Measure the time from Ctrl-C to the end of `palmfield run` and `palmfield prepare`, and the files left.
 
     python scripts/bench/interrupts.py [--scenes palm_am200 stroke_palm] [--caches empty full] [--moments compile ...]
 
-Each case runs a command in its own process until it begins a phase (`palmfield.phases`), waits a little, and sends
-SIGINT. The table has the time to the end of the process, its exit code, files that cannot be read under their final
-names (results, pictures, USD, entries of the cache, kernels), and whether the partial results can be read. "empty"
-begins without results in the cache, moment `compile` also without kernels; "full" begins with those of a whole run.
-Files with temporary names (*.part, which palmfield removes later, and Warp's folders) are not counted.
+Each case runs a command in its own process until it begins a phase (`palmfield.phases`), waits for a short time, and
+sends SIGINT. The table has the time to the end of the process, its exit code, files that cannot be read under their
+final names (results, pictures, USD, entries of the cache, kernels), and whether the partial results can be read.
+"empty" begins without results in the cache, at moment `compile` also without kernels; "full" begins with the cache of a
+complete run. Files with temporary names (*.part, which palmfield removes later, and Warp's folders) are not counted.
 """
 
 import argparse
@@ -45,7 +45,7 @@ start()
 
 
 class Moment(NamedTuple):
-    """When SIGINT is sent. phase: whose beginning is awaited, "" for that of the process; then `after_s` [s] more.
+    """Time of the SIGINT. phase: awaited phase, "" for the start of the process; SIGINT follows `after_s` [s] later.
 
     words: further arguments of the command; command: of palmfield
     """
@@ -77,7 +77,7 @@ MOMENTS = {
 
 
 class Ended(NamedTuple):
-    """How a case ended. seconds: from SIGINT to the end [s], None if the process ended before the moment"""
+    """End of a case. seconds: from SIGINT to the end [s], None if the process ended earlier"""
 
     seconds: float | None
     code: int
@@ -168,7 +168,7 @@ def _usd(path: Path) -> None:
 
 
 def _elf(path: Path) -> None:
-    """Check that an object file is as long as its table of sections says."""
+    """Check that an object file is as long as its section table states."""
     data = path.read_bytes()
     sections, size, count = (int.from_bytes(data[at : at + n], "little") for at, n in ((40, 8), (58, 2), (60, 2)))
     if data[:4] != b"\x7fELF" or len(data) < sections + size * count:
@@ -176,7 +176,7 @@ def _elf(path: Path) -> None:
 
 
 def partial_of(out: Path) -> str:
-    """Say whether the results in a folder can be read, and how many steps they have."""
+    """Return whether the results in a folder can be read, and their number of steps, in words."""
     if not out.is_dir():
         return "no folder"
     if (out / ".partial").is_dir() and not (out / "result.nc").exists():
@@ -193,7 +193,7 @@ def partial_of(out: Path) -> str:
 
 
 def filled(scene: str, folder: Path) -> None:
-    """Run a scene once, so that a folder has its results and kernels."""
+    """Run a scene once, so that a folder contains its results and kernels."""
     env = os.environ | {"PALMFIELD_CACHE": str(folder / "results"), "WARP_CACHE_PATH": str(folder / "kernels")}
     words = ["run", f"mjcf/scenes/{scene}.xml", "--out", str(folder / "out")]
     subprocess.run([sys.executable, "-m", "palmfield", *words], cwd=ROOT, env=env, capture_output=True, check=True)

@@ -1,8 +1,8 @@
-"""Libraries against code of our own: sparse factors, shortest paths on the skin, repair of meshes, psychometric fits.
+"""Compare libraries with palmfield's own code: sparse factors, paths on the skin, mesh repair, psychometric fits.
 
     python scripts/bench/libraries.py [factors] [paths] [meshes] [fits]
 
-Those of the libraries that are installed are compared; the others are named. Prints tables in Markdown.
+It compares the libraries that are installed and lists the others. It prints tables in Markdown.
 """
 
 import argparse
@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out" / "libraries"
 HAND = "open_men_p50"
 MATRICES = {"28,272": None, "8,064": 0.1}
-"""Unknowns of the palm of mjcf/scenes/palm_am200.xml, and the scene's accuracy for them."""
+"""Numbers of unknowns of the palm of mjcf/scenes/palm_am200.xml, and the accuracies of the scene for them."""
 f_Hz, BLOCK = 200.0, 64
 SLOWEST_s = 300
 PATHS, OBSERVERS = 30, 40
@@ -43,7 +43,7 @@ def installed(name: str) -> bool:
 
 
 def save_matrices() -> None:
-    """The static matrix of a palm, real, its dynamic one at f_Hz, complex, and the order of elimination."""
+    """Save the real static matrix of a palm, its complex dynamic matrix at f_Hz, and the order of elimination."""
     import palmfield
     from palmfield.skin.fem.solver import _dynamic
 
@@ -120,7 +120,7 @@ def clocks() -> tuple[float, float]:
 
 
 def timed(work: Callable[[], Any], repeats: int) -> tuple[Any, list[float]]:
-    """The last result, and the least seconds that passed and that the process worked."""
+    """Return the last result, and the least elapsed time and processor time [s]."""
     least = [math.inf, math.inf]
     for _ in range(repeats):
         begin = clocks()
@@ -130,13 +130,13 @@ def timed(work: Callable[[], Any], repeats: int) -> tuple[Any, list[float]]:
 
 
 def peak_MB() -> float:
-    """Largest memory of this process; Linux only."""
+    """Return the largest memory of this process; Linux only."""
     lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
     return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
 
 def factor_once(library: str, name: str, kind: str, threads: int) -> None:
-    """One library on one matrix, in this process: prints a row as JSON."""
+    """Run one library on one matrix in this process, and print a row as JSON."""
     from palmfield.threads import limit
 
     limit(threads)
@@ -217,7 +217,7 @@ def _factor_line(name: str, kind: str, library: str, rows: list[dict[str, Any] |
 
 
 def paths() -> None:
-    """Lengths over the exact one, which pygeodesic finds, between vertices drawn by chance."""
+    """Compare path lengths between random vertices with the exact length, which pygeodesic computes."""
     from palmfield.hand.preset import load_preset
     from palmfield.hand.surface import hand_surface
     from palmfield.stimulus.surface_path import through
@@ -266,7 +266,7 @@ def length_of(points: Any) -> float:
 
 
 def meshes() -> None:
-    """What each code makes of the faults of docs/report_cards.md: its mesh closed, of the hand's volume?"""
+    """Repair the faulty meshes of docs/report_cards.md by each code, and check that the results are closed hands."""
     sys.path[:0] = [str(ROOT / "tests" / "hand"), str(ROOT / "scripts" / "verification")]
     from test_reportcard import FAULTS, hand
 
@@ -339,7 +339,7 @@ def meshfix_repair(vertices: Any, faces: Any) -> Any:
 
 
 def fits() -> None:
-    """Thresholds of simulated observers, and how often intervals of 95 % hold the true one."""
+    """Fit thresholds of simulated observers, and count how often 95 % intervals contain the true value."""
     if not installed("psignifit"):
         return
     from palmfield.perception.psychometric import PsychometricFunction
@@ -369,7 +369,10 @@ def constant_answers(function: Callable[[Any], Any], rng: Any) -> tuple[Any, Any
 
 
 def staircase_answers(function: Callable[[Any], Any], rng: Any) -> tuple[Any, Any, Any]:
-    """1 up 2 down, steps of 4 and then 2, as in tests/perception/test_psychometric.py."""
+    """Return the answers in a staircase: 1 up 2 down, steps of 4, then 2.
+
+    It is the staircase of tests/perception/test_psychometric.py.
+    """
     from palmfield.perception.psychometric import counts
 
     level, streak, levels, right = 12.0, 0, [], []

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""What a step takes in each of many worlds of a moving scene on a GPU, and where the time goes.
+"""Measure the time of a step by part, for many worlds of a moving scene on a GPU.
 
 python scripts/bench/many_worlds.py [--scene hover_explore] [--worlds 1024] [--start 0.1] [--steps 20] [--device cuda:0]
     [--key skin.force_accuracy=0.012]
 
-Worlds differ in their level. Printed are the median of the wall times of whole steps and the mean of their parts, which
-lie within one another, then each kernel and copy by itself, all in us a world and step.
+Worlds differ in their level. It prints the median wall time of whole steps, the mean times of their nested parts, and
+the time of each kernel and copy alone, all in us per world and step.
 """
 
 import argparse

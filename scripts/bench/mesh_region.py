@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Hold the mesh of a scene's skin against a much finer one, for spots at places all over its region of foci.
+"""Compare the mesh of a scene's skin with a much finer one, for spots at places over its region of foci.
 
-The layer of the first skin is loaded by Gaussian spots of the scene's width: in its middle, and on two rings. The
+Gaussian spots of the scene's width load the layer of the first skin: in its middle, and on two rings. The
 displacement under each spot, at rest and at frequencies up to the highest, is compared with that on a mesh with edges
-of `--finer` times the size and three more rows. The estimate of a run compares with a coarser mesh instead; what it
-would state for the mesh is beside it. Prints a row for each mesh and frequency: errors in percent, by place.
+of `--finer` times the size and three more rows. The estimate of a run compares with a coarser mesh instead; its value
+for this mesh is listed too. It prints a row for each mesh and frequency: errors in percent, by place.
 """
 
 import argparse
@@ -28,13 +28,13 @@ from palmfield.studies.bench.table import processor
 from palmfield.types import Complex, Float
 
 RINGS_M = ((0.0, 1), (0.009, 4), (0.018, 6))
-"""Radius and number of places on each ring about the middle of the layer."""
+"""Radius and number of places on each ring around the middle of the layer."""
 VECTORS = 20
-"""Vectors of the reduced model for each spot."""
+"""Number of vectors of the reduced model for each spot."""
 
 
 def places_on(layer: SceneLayer) -> Float:
-    """Places of the spots on the skin, body frame [m], shape (11, 3)."""
+    """Return the places of the spots on the skin, body frame [m], shape (11, 3)."""
     near = layer.patch.vertices[np.linalg.norm(layer.patch.vertices - layer.centre_m, axis=1) < 0.03]
     first, second, _ = np.linalg.svd(near - near.mean(axis=0))[2]
     places = []
@@ -45,7 +45,7 @@ def places_on(layer: SceneLayer) -> Float:
 
 
 def displacements(layer: SceneLayer, places: Float, frequencies_Hz: list[float]) -> Complex:
-    """Normal displacement under a spot at each place, shape (frequencies, places)."""
+    """Return the normal displacement under a spot at each place, shape (frequencies, places)."""
     quadrature, system = layer.quadrature, layer.system
     width = layer.demand.spot_fwhm_m
     spots = [np.exp(-4.0 * math.log(2.0) * ((quadrature.points - at) ** 2).sum(axis=1) / width**2) for at in places]

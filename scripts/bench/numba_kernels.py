@@ -1,4 +1,4 @@
-"""The sum in numba, one thread: the library's functions, and blocks of points with polynomials that LLVM vectorises."""
+"""Sums in numba on one thread: with functions of the C library, and in blocks with polynomials that LLVM vectorises."""
 
 import math
 
@@ -23,7 +23,10 @@ def quintic(c: Single, x: np.float32) -> np.float32:
 def libm(
     points: Single, elements: Single, turns_per_m: np.float32, absorption_Np_m: np.float32, directivity: Single
 ) -> NDArray[np.complex64]:
-    """elements: position [m], normal, strength [Pa m] and phase [turns], shape (t, 8)."""
+    """Sum with functions of the C library.
+
+    elements: position [m], normal, strength [Pa m], phase [turns], shape (t, 8).
+    """
     result = np.empty(len(points), np.complex64)
     for i in range(len(points)):
         re = im = NONE
@@ -53,8 +56,10 @@ def polynomials(
     sine: Single,
     cosine: Single,
 ) -> NDArray[np.complex64]:
-    """As `libm`; attenuation in distance, sine and cosine in the square of the turns
-    (palmfield.studies.bench.problem)."""
+    """Sum as `libm` with polynomials: attenuation in the distance, sine and cosine in the square of the turns.
+
+    The polynomials are those of `palmfield.studies.bench.problem`.
+    """
     # Coefficients in plain variables: as arrays they might overlap what the loop writes, and it would stay scalar
     a0, a1, a2, a3 = attenuation[0], attenuation[1], attenuation[2], attenuation[3]
     d0, d1, d2, d3, d4, d5 = (

@@ -1,4 +1,4 @@
-"""What both comparisons with other programs share: their options, and the interpreter that has those programs."""
+"""Common parts of both comparisons with other programs: their options, and the interpreter with those programs."""
 
 import argparse
 import os
@@ -14,7 +14,7 @@ ABOUT_PYTHON = "interpreter that has other programs, made by scripts/peers/setup
 
 
 def parser(about: str | None, runs: int) -> argparse.ArgumentParser:
-    """Options as those of `palmfield bench`, and --peers-python."""
+    """Return a parser of the options of `palmfield bench` and --peers-python."""
     result = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     result.add_argument("--peers-python", type=Path, help=ABOUT_PYTHON)
     result.add_argument("--out", type=Path, help="markdown file to write the table to")
@@ -27,9 +27,9 @@ def parser(about: str | None, runs: int) -> argparse.ArgumentParser:
 
 
 def interpreter(python: Path) -> Path:
-    """The program that `python` names, in a folder of PATH if it is a bare name.
+    """Return the program that `python` names, in a folder of PATH if it is a bare name.
 
-    Raises PalmfieldError where it doesn't run or has no NumPy, which every method needs.
+    Raises PalmfieldError if it does not run or lacks NumPy, which every method needs.
     """
     program = shutil.which(python)
     if program is None:
@@ -48,7 +48,7 @@ def interpreter(python: Path) -> Path:
 
 
 def print_report(make: Callable[[], str]) -> None:
-    """Print what `make` returns; users' errors become one line and exit code 2."""
+    """Print the result of `make`; user errors become one line and exit code 2."""
     try:
         print(make(), end="")
     except PalmfieldError as error:

@@ -1,6 +1,6 @@
-"""A baffled piston by its Rayleigh integral, which holds at any distance: how far the far-field model can be trusted.
+"""Compute a baffled piston by its Rayleigh integral, exact at any distance, to test the far-field model.
 
-Shares no code with palmfield.acoustics. `python scripts/bench/rayleigh.py` prints the tables of docs/bench/peers.md.
+It shares no code with palmfield.acoustics. `python scripts/bench/rayleigh.py` prints the tables of docs/bench/peers.md.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ FOCI_M = (0.05, 0.1, 0.15, 0.2, 0.4)
 
 
 def piston(points: ArrayLike, radius_m: float, k: float, p0_Pa_m: float, rings: int = 16, spokes: int = 32) -> Complex:
-    """Lossless field of one piston in the plane z = 0 at the origin: p0/(pi b^2) times the integral of e^{ikR}/R.
+    """Return the lossless field of a piston at the origin in z = 0: p0/(pi b^2) times the integral of e^{ikR}/R.
 
     Gauss-Legendre along the radius, trapezoid around it (Rayleigh, Theory of Sound, sect. 278).
 
@@ -37,7 +37,10 @@ def piston(points: ArrayLike, radius_m: float, k: float, p0_Pa_m: float, rings: 
 
 
 def array_of_pistons(points: Float, array: Array, drive: Complex, k: float) -> Complex:
-    """Sum of `piston` over a flat array that looks along z; six rings and twelve spokes reach 1e-9 beyond 30 mm."""
+    """Return the sum of `piston` over a flat array facing z.
+
+    Six rings and twelve spokes reach an error of 1e-9 beyond 30 mm.
+    """
     total = np.zeros(len(points), complex)
     for position, amplitude in zip(array.positions, drive, strict=True):
         total += amplitude * piston(points - position, array.piston_radius_m, k, array.p0_Pa_m, 6, 12)
@@ -45,7 +48,7 @@ def array_of_pistons(points: Float, array: Array, drive: Complex, k: float) -> C
 
 
 def hemisphere(distance_m: float, step_degrees: float = 5.0) -> Float:
-    """Points at one distance from the origin, from the axis to 85 degrees off it [m], shape (n, 3)."""
+    """Return points at one distance from the origin, from the axis to 85 degrees off it [m], shape (n, 3)."""
     t = np.radians(np.arange(0.0, 90.0, step_degrees))
     return distance_m * np.column_stack([np.sin(t), np.zeros_like(t), np.cos(t)])
 

@@ -1,10 +1,10 @@
-"""Time of a simulated millisecond of recorded runs: written step by step, and in blocks of many steps.
+"""Measure the time of a simulated millisecond of recorded runs: written step by step, and in blocks of steps.
 
     python scripts/bench/recorded_run.py [SCENE ...] [--steps 100] [--times 9] [--before COMMIT] [--device D]
 
-Results stay in memory. Both ways take turns in one process, from reset to the given number of steps; with --before a
-second process runs that commit in turn. Prints a table in Markdown: medians of wall time and processor time, and the
-median of the ratios of neighbouring runs.
+Results stay in memory. Both ways alternate in one process, from reset to the selected number of steps. With --before, a
+second process alternately runs that commit. Prints a table in Markdown: medians of wall time and processor time, and
+the median of the ratios of neighbouring runs.
 """
 
 import argparse
@@ -42,14 +42,14 @@ for line in sys.stdin:
 
 
 class Runs:
-    """A process that runs a scene of a checkout again and again."""
+    """A process that repeatedly runs a scene of a checkout."""
 
     def __init__(self, where: Path, scene: str, device: str):
         words = [sys.executable, "-c", WORKER, scene, device]
         self._python = subprocess.Popen(words, cwd=where, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def run(self, *numbers: int) -> tuple[float, float]:
-        """Return wall and processor time [ms] of a simulated ms; numbers: of steps, and of steps in a block."""
+        """Return wall and processor time [ms] per simulated ms, the number of steps, and that of steps in a block."""
         stdin, stdout = self._python.stdin, self._python.stdout
         assert stdin is not None and stdout is not None
         print(*numbers, file=stdin, flush=True)

@@ -1,7 +1,7 @@
-"""Other programs on the slab of skin_case: scikit-fem, warp.fem and MuJoCo's flexes. Each is optional.
+"""Other programs on the slab of skin_case: scikit-fem, warp.fem and the flexes of MuJoCo. Each is optional.
 
-Every function takes a resolution and returns the centre's push per pascal, static and at F_Hz [m/Pa] (None where the
-program has no such answer), and its number of unknowns.
+Each function takes a resolution. It returns the displacement of the centre per pascal, static and at F_Hz [m/Pa] (None
+if the program cannot compute it), and its number of unknowns.
 """
 
 import json
@@ -20,14 +20,14 @@ from palmfield.studies.bench.skin_case import CASE, Case, F_Hz
 
 MeshSolution = tuple[float | None, complex | None, int]
 HALF_M = 0.06
-"""Half width of the piece: its sides matter by 0.3 % (docs/bench/skin_c0.md)."""
+"""Half width of the slab: its sides change the result by 0.3 % (docs/bench/skin_c0.md)."""
 PUSH_Pa = 1.0
-"""Small against the moduli: flexes are non-linear."""
+"""Pressure, small relative to the moduli because flexes are nonlinear."""
 SETTLE_STEPS = 200
 
 
 def graded(half_m: float, cells: int, depth_m: float, layers: int) -> tuple[list[float], list[float]]:
-    """Coordinates [m] of a graded quarter box: from the spot's centre outwards, and from the base up to the face at 0.
+    """Return coordinates [m] of a graded quarter box: from the centre of the spot outwards, and from the base to 0.
 
     Cells grow in geometric series, to eight times along the face and to three times through the depth.
     """
@@ -43,17 +43,17 @@ def graded(half_m: float, cells: int, depth_m: float, layers: int) -> tuple[list
 
 
 def pressure(case: Case, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The spot of 1 Pa, centred on the z axis."""
+    """Return the pressure of the spot of 1 Pa, centred on the z axis."""
     return np.exp(-GAUSSIAN * (x**2 + y**2) / case.fwhm_m**2)
 
 
 def moduli(case: Case, f_Hz: float) -> tuple[complex, complex]:
-    """Shear and bulk modulus [Pa] under e^{-i w t}."""
+    """Return shear and bulk modulus [Pa] for e^{-i w t}."""
     return complex_shear(case.material, f_Hz), complex_bulk(case.material, f_Hz)
 
 
 def scikit_fem(case: Case, cells: int, layers: int) -> MeshSolution:
-    """Quadratic hexahedra (27 nodes), full integration, on a graded quarter with mirror planes."""
+    """Solve with quadratic hexahedra (27 nodes) and full integration, on a graded quarter with mirror planes."""
     import skfem as fem
     from skfem.helpers import ddot, div, dot, sym_grad
 
@@ -95,7 +95,7 @@ def scikit_fem(case: Case, cells: int, layers: int) -> MeshSolution:
 
 
 def warp_fem(case: Case, cells: int, layers: int) -> MeshSolution:
-    """warp.fem: quadratic hexahedra (27 nodes) on the same graded quarter, in float32, solved by SciPy."""
+    """Solve with warp.fem: quadratic hexahedra (27 nodes) on the same graded quarter, in float32, solver of SciPy."""
     import skin_warp_forms as forms
     import warp as wp
     from warp import fem
@@ -137,9 +137,10 @@ def warp_fem(case: Case, cells: int, layers: int) -> MeshSolution:
 
 
 def mujoco_flex(case: Case, cells: int, layers: int) -> MeshSolution:
-    """MuJoCo's flex: a full box of trilinear cells, let settle under the spot's nodal forces; no answer at F_Hz.
+    """Solve with a flex of MuJoCo: a full box of trilinear cells, at rest under nodal forces; no answer at F_Hz.
 
-    It has Young's modulus and Poisson's ratio of the relaxed solid; sides are free. Strong damping brings it to rest.
+    It has Young's modulus and Poisson's ratio of the relaxed solid; its sides are free. Strong damping brings it to
+    rest.
     """
     import mujoco
 
@@ -188,7 +189,7 @@ def mujoco_flex(case: Case, cells: int, layers: int) -> MeshSolution:
 
 
 def _solve(case: Case, matrices: list[Any], force: np.ndarray, read: int) -> tuple[float, complex]:
-    """Push at one unknown from deviatoric and volumetric stiffness and inertia of unit moduli and density."""
+    """Return the displacement at one unknown from deviatoric and volumetric stiffness and mass of unit constants."""
     deviatoric, volumetric, inertia = matrices
     answers = []
     for f_Hz in (0.0, F_Hz):
@@ -203,7 +204,7 @@ def _solve(case: Case, matrices: list[Any], force: np.ndarray, read: int) -> tup
 
 
 def _scipy(matrix: Any) -> Any:
-    """Warp's block-sparse matrix as SciPy's."""
+    """Return a block-sparse matrix of Warp as a matrix of SciPy."""
     from scipy.sparse import bsr_array
 
     count = matrix.nnz_sync()
@@ -214,7 +215,7 @@ def _scipy(matrix: Any) -> Any:
 
 
 def main() -> None:
-    """A process's only task: one program on one mesh, solved twice; prints the second's answer as JSON."""
+    """Solve with one program on one mesh, twice, and print the second answer as JSON; task of a process."""
     name, cells, layers = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     run = {"scikit_fem": scikit_fem, "warp_fem": warp_fem, "mujoco_flex": mujoco_flex}[name]
     with threadpool_limits(1):

@@ -1,4 +1,4 @@
-"""Forms of the linear solid for warp.fem, in millimetres; a file of their own, as warp reads their source."""
+"""Forms of the linear solid for warp.fem, in millimetres, in their own file because Warp reads their source."""
 
 import warp as wp
 from warp import fem
@@ -23,7 +23,7 @@ def inertia(s: fem.Sample, u: fem.Field, v: fem.Field):
 
 @fem.integrand
 def load(s: fem.Sample, domain: fem.Domain, v: fem.Field, width: float, slope: float):
-    """Pressure of a Gaussian spot on the face z = 0."""
+    """Return the pressure of a Gaussian spot on the face z = 0."""
     x = fem.position(domain, s)
     p = wp.where(x[2] > -1.0e-4, wp.exp(-slope * (x[0] * x[0] + x[1] * x[1]) / (width * width)), 0.0)
     return -p * fem.inner(v, s)[2]

@@ -1,9 +1,9 @@
-"""Processor time to start: commands and a scene, and the modules of palmfield that they import.
+"""Measure the processor time to start commands and a scene, and count the modules that they import.
 
     python scripts/bench/startup.py [--before COMMIT] [--times 5]
 
-Bytecode, meshes and reduced models are cached by a first call of each, in folders of this script; all later calls find
-them there. With --before the commands run in a checkout of that commit too, in turn. Prints a table in Markdown.
+A first call of each fills caches of bytecode, meshes and reduced models in temporary folders; all later calls use them.
+With --before, the commands also run in a checkout of that commit, alternately. It prints a table in Markdown.
 """
 
 import argparse
@@ -50,7 +50,7 @@ def code_of(case: str | list[str]) -> str:
 
 
 def call(code: str, where: Path, caches: Path, *, caching: bool = True) -> tuple[float, list[str]]:
-    """Processor seconds of a Python that runs this code in a checkout, and the words that it ends with."""
+    """Return the processor seconds of a Python that runs this code in a checkout, and the last words of its output."""
     folder = str(caches / f"{where.name}_kept") if caching else "off"
     env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     env |= {"PYTHONPYCACHEPREFIX": str(caches / f"{where.name}_bytecode"), "PALMFIELD_CACHE": folder}

@@ -1,12 +1,12 @@
-"""What a sweep of 1,000 stimuli on one palm costs, whole or from a sample of its points.
+"""Measure the cost of a sweep of 1,000 stimuli on one palm, of the whole sweep or of a sample of its points.
 
     python scripts/bench/sweep.py [--points 1000] [--workers 2]
     python scripts/bench/sweep.py --sample 64 [--profile FILE]
 
 The points are Sobol points of `palm_am200`: a focus within 10 mm, the modulation depth, 50 to 300 Hz. The first form
-runs the sweep with its workers and prints the wall time; modes are in the cache, or made by the first worker. The
-second computes a sample in this process, in batches as a worker does, and prints processor times, and the time of all
-points estimated from them: the first batch, which loads or makes the modes, once for each worker, the others per point.
+runs the sweep with its workers and prints the wall time; modes come from the cache, or the first worker makes them. The
+second form computes a sample in this process, in batches as a worker does. It prints processor times and the predicted
+time of all points: the first batch, which loads or makes the modes, once for each worker, the others per point.
 """
 
 import argparse
@@ -36,7 +36,7 @@ RANGES = {
 
 
 def sample(design: sweeps.Design, count: int, workers: int, profile: Path | None) -> None:
-    """Compute `count` points as one worker does, and print what all points would take on `workers` cores."""
+    """Compute `count` points as one worker does, and print the predicted time of all points on `workers` cores."""
     marks = [time.process_time()]
     keys = scene_keys(SCENE, design, {})
     view = overview(SCENE, design, keys, device=None, accuracy=None, duration_s=DURATION_S)

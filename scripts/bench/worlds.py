@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""What a simulated millisecond costs in each of several worlds, beside one simulation by itself in the same process.
+"""Measure the cost of a simulated millisecond in each of several worlds, and in a single simulation.
 
 python scripts/bench/worlds.py [--worlds 64] [--scene palm_am200] [--vary level|focus] [--solver auto] [--steps 200]
                                [--device cpu] [--compare 4]
 
-Worlds differ in their modulation's depth (level), or in where the focus is, on a ring of 5 mm (focus). Both run from
-rest; the first steps, which make fields and record launches, are left out. --compare simulations by themselves are then
-held against their worlds: the largest relative difference of displacement, forces and sensors is printed.
+Worlds differ in their modulation depth (level), or in the position of the focus on a ring of 5 mm (focus). Both run in
+the same process from rest; the first steps, which make fields and record launches, do not count. Then the results of
+--compare single simulations are compared with those of their worlds: it prints the largest relative difference of
+displacement, forces and sensors.
 """
 
 import argparse
@@ -23,12 +24,12 @@ from palmfield.threads import cores
 
 SCENES = Path(__file__).resolve().parents[2] / "mjcf" / "scenes"
 FIRST = 10
-"""Steps that are left out."""
+"""Number of first steps that do not count."""
 RING_M = 5e-3
 
 
 def values(vary: str, worlds: int, focus_m: np.ndarray) -> dict[str, np.ndarray]:
-    """Keys with a value for each world."""
+    """Return keys with a value for each world."""
     if vary == "level":
         return {"stimulus.drive_amplitude": np.linspace(0.5, 1.0, worlds)}
     angle = 2.0 * np.pi * np.arange(worlds) / worlds
@@ -36,7 +37,7 @@ def values(vary: str, worlds: int, focus_m: np.ndarray) -> dict[str, np.ndarray]
 
 
 def ms_per_step(sim: Any, steps: int) -> float:
-    """Median of the wall times of steps, in ms."""
+    """Return the median wall time of steps, in ms."""
     sim.step(FIRST)
     times = []
     for _ in range(steps):
@@ -47,7 +48,7 @@ def ms_per_step(sim: Any, steps: int) -> float:
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:
-    """Largest difference over the largest number of either."""
+    """Return the largest difference relative to the largest number of either."""
     size = max(float(np.abs(one).max(initial=0.0)), float(np.abs(other).max(initial=0.0)))
     return 0.0 if size == 0.0 else float(np.abs(one - other).max()) / size
 

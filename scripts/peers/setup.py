@@ -1,9 +1,10 @@
-"""Makes an environment with the programs that palmfield's field and skin are held against. Standard library only.
+"""Make an environment with the programs that palmfield's field and skin are compared with.
 
     python3 scripts/peers/setup.py --dir ~/.cache/palmfield-peers
 
-They need older libraries than palmfield, so they live apart. Prints the interpreter's path, for
-`scripts/bench/compare_field.py --peers-python PATH`, and `compare_skin.py` likewise.
+The script uses the standard library only. These programs need older libraries than palmfield, hence their own
+environment. It prints the path of the interpreter for `scripts/bench/compare_field.py --peers-python PATH`, and for
+`compare_skin.py`.
 """
 
 import argparse

@@ -1,14 +1,14 @@
-"""Truths for skin cases by scikit-fem, with nothing of palmfield: own meshes, elements and steps; from the case file.
+"""Compute reference solutions of skin cases by scikit-fem, without palmfield: own meshes, elements and steps.
 
     ~/.cache/palmfield-peers/bin/python scripts/peers/skin_truths.py CASES.json TRUTHS.jsonl [--limit 120] [--finer 1]
 
-A round body under a spot in its middle is solved in r and z by quadratic quadrilaterals of nine nodes, an endless one
-as a disc so wide that no wave comes back; boxes and bent layers by quadratic hexahedra of 27. The bulk's part is
-integrated by two points along each edge, so that nothing locks. In time it is the trapezoid rule, the branches with
-it; a load that is there at once accelerates the body at rest from the first step on. Every case is solved three times,
-finer in space and time; the error of the finest follows from the two differences and the order that they show. Rows
-are appended, so that a run goes on where it ended; round bodies may be solved again with all sizes and steps --finer
-times as small, where an estimate is so small that their error hides it.
+A round body with a spot in its middle is solved in r and z by quadratic quadrilaterals of nine nodes. An infinite body
+is a disc so wide that no wave returns. Boxes and curved layers use quadratic hexahedra of 27 nodes. The bulk part is
+integrated with two points along each edge, which prevents locking. The time scheme is the trapezoid rule, also for the
+branches; a sudden load accelerates the body at rest from the first step. Every case is solved three times with finer
+space and time. The error of the finest solution follows from the two differences and their observed order. Rows are
+appended, so an interrupted run can continue. Round bodies may be solved again with all sizes and steps smaller by
+--finer, if an estimate is smaller than the error of the reference.
 """
 
 import argparse
@@ -28,30 +28,30 @@ from skfem.helpers import ddot, div, dot, sym_grad
 
 GAUSSIAN = 4.0 * math.log(2.0)
 SCALES = (2.25, 1.5, 1.0)
-"""Sizes of elements and steps of the three solutions."""
+"""Relative sizes of elements and steps of the three solutions."""
 FINEST_STEPS = 9
-"""Number that the steps between two times of the finest solution are a multiple of: the others have 6 and 4 for it."""
+"""Factor of the number of steps between two times of the finest solution; the others have 6 and 4 instead."""
 ORDERS = (0.5, 2.0)
-"""Range in which the order that the differences show is believed."""
+"""Range in which the observed order of the differences is accepted."""
 ROUND_SIZE, OTHER_SIZE = 0.06, 0.22
-"""Largest elements over the spot's width (over one to two depths, where that is less), of round bodies and others."""
+"""Largest elements over the width of the spot, or over one or two depths if they are less; round bodies, others."""
 ROUND_STEPS, OTHER_STEPS = 200.0, 40.0
-"""Time steps while shear waves cross the spot, or go down and up, of round bodies and others."""
+"""Time steps while shear waves cross the spot, or go down and up; round bodies, others."""
 STEPS_A_PERIOD = 100.0
-"""Time steps in a period of a load that swings."""
+"""Time steps per period of a periodic load."""
 FASTER = 1.5
-"""Fastest waves along an endless plate over shear waves, for its width; the three solutions differ in it."""
+"""Speed of the fastest waves along an infinite plate over that of shear waves, for its width; one per solution."""
 MOST_UNKNOWNS = 120_000
 DIGITS = 6
-"""Of numbers in the file of truths."""
+"""Number of digits in the file of references."""
 BULK_INTORDER = 3
-"""Of two points along each edge of a cell."""
+"""Integration order with two points along each edge of a cell."""
 POSITIVE_DEFINITE, SOLVE = 2, 33
-"""PARDISO's numbers for a kind of matrix and for solving by a factor."""
+"""Codes of PARDISO for a kind of matrix and for a solution with a factor."""
 
 
 class TooLongError(Exception):
-    """A run took longer than it may."""
+    """A run exceeded its time limit."""
 
 
 class Factor:
@@ -73,7 +73,7 @@ class Factor:
 
 
 def graded(length, first, most, growth=1.35):
-    """Lines from 0 to length: cells of `first`, growing to at most `most`."""
+    """Return grid lines from 0 to length: cells of `first`, growing to at most `most`."""
     sizes = [first]
     while sum(sizes) < length:
         sizes.append(min(growth * sizes[-1], most))
@@ -82,7 +82,7 @@ def graded(length, first, most, growth=1.35):
 
 
 def depth_lines(sheets, size):
-    """Lines from the face, 0, down through each sheet."""
+    """Return grid lines from the face, 0, down through each sheet."""
     lines, top = [0.0], 0.0
     for sheet in sheets:
         thickness = sheet["thickness_m"]
@@ -93,13 +93,13 @@ def depth_lines(sheets, size):
 
 
 def sheet_at(sheets, depth):
-    """Number of the sheet at each depth."""
+    """Return the number of the sheet at each depth."""
     bottoms = np.cumsum([sheet["thickness_m"] for sheet in sheets])
     return np.minimum(np.searchsorted(bottoms, depth), len(sheets) - 1)
 
 
 def axisymmetric(case, size):
-    """Matrices, force per pascal, free unknowns and readers of a disc, or endless body, under a spot in its middle."""
+    """Return matrices, force per pascal, free unknowns and readers of a disc, or infinite body, with a central spot."""
     body, width = case["body"], case["load"]["fwhm_m"]
     sheets = body["sheets"]
     if body["shape"] == "infinite":
@@ -160,13 +160,13 @@ def axisymmetric(case, size):
 
 
 def at_places(basis, where, component):
-    """Unknowns of one component whose places satisfy a condition."""
+    """Return the unknowns of one component whose positions satisfy a condition."""
     dofs = np.flatnonzero(where(basis.doflocs))
     return dofs[component_of(basis)[dofs] == component]
 
 
 def component_of(basis):
-    """Component of the vector to which each unknown belongs: vector elements count theirs in turn."""
+    """Return the component of each unknown; vector elements number their components in turn."""
     size = basis.mesh.dim()
     result = np.zeros(basis.N, dtype=int)
     result[basis.element_dofs] = (np.arange(len(basis.element_dofs)) % size)[:, None]
@@ -180,7 +180,7 @@ def free_of(basis, held):
 
 
 def by_sheet(mesh, element, which, count, forms, intorder):
-    """Matrices of shear, bulk and mass on the elements of each sheet; forms: of 2 e : e, div div and u . v."""
+    """Return shear, bulk and mass matrices of the elements of each sheet; forms: of 2 e : e, div div and u . v."""
     strain, bulk, inertia = (fem.BilinearForm(form) for form in forms)
     result = []
     for number in range(count):
@@ -192,7 +192,7 @@ def by_sheet(mesh, element, which, count, forms, intorder):
 
 
 def block(case, size):
-    """The same of a box or bent layer, with a force for each time of the load."""
+    """Return the same for a box or curved layer, with a force for each time of the load."""
     body, load = case["body"], case["load"]
     sheets, width = body["sheets"], load["fwhm_m"]
     lines = []
@@ -252,14 +252,17 @@ def block(case, size):
 
 
 def flat_readers(basis, points):
-    """Operators that read each component at places of the unbent mesh, whose reference places are the bent one's."""
+    """Return operators that evaluate each component at points of the flat mesh.
+
+    The reference coordinates of these points are those of the curved mesh.
+    """
     rows = basis.probes(points).tocsr()
     count = points.shape[1]
     return [rows[n * count : (n + 1) * count] for n in range(3)]
 
 
 def bent(body, places):
-    """Places of a bent layer: each depth along the face's normal below (x, y)."""
+    """Return points of a curved layer: each depth along the normal of the face below (x, y)."""
     x, y, z = places
     (a, k), (rx, ry) = body["bump"], body["radii_m"]
     face = -0.5 * (x**2 / rx + y**2 / ry) + a * np.cos(k * x) * np.cos(k * y)
@@ -275,7 +278,7 @@ def is_round(case):
 
 
 def finest_size(case):
-    """Largest elements of the finest solution."""
+    """Return the largest elements of the finest solution."""
     width, depth = case["load"]["fwhm_m"], sum(sheet["thickness_m"] for sheet in case["body"]["sheets"])
     if is_round(case):
         return ROUND_SIZE * min(width, 2.0 * depth)
@@ -283,13 +286,13 @@ def finest_size(case):
 
 
 def fastest(sheets):
-    """Speed of the fastest shear waves of all sheets."""
+    """Return the speed of the fastest shear waves of all sheets."""
     materials = [sheet["material"] for sheet in sheets]
     return max(math.sqrt(instant(m) / m["density_kg_m3"]) for m in materials)
 
 
 def step_of(case):
-    """Time step of the finest solution."""
+    """Return the time step of the finest solution."""
     sheets, load = case["body"]["sheets"], case["load"]
     depth, width = sum(sheet["thickness_m"] for sheet in sheets), load["fwhm_m"]
     slowness = [math.sqrt(s["material"]["density_kg_m3"] / instant(s["material"])) for s in sheets]
@@ -304,7 +307,7 @@ def step_of(case):
 
 
 def solved(case, scale, finer):
-    """Displacement at the case's times and points, (t, n, 3), by elements and steps scale / finer times as large."""
+    """Return the displacement at times and points, (t, n, 3), with sizes and steps larger by scale / finer."""
     body, load = case["body"], case["load"]
     sheets = body["sheets"]
     materials = [sheet["material"] for sheet in sheets]
@@ -386,7 +389,7 @@ def instant(material):
 
 
 def eligible(case):
-    """Why a case isn't solved here, or None."""
+    """Return why a case is not solved here, or None."""
     if not case["by_scikit_fem"]:
         return "not asked for"
     if is_round(case) and np.any(np.asarray(case["load"]["centre_m"])):
@@ -406,14 +409,14 @@ def truth(case, finer):
 
 
 def worst(found, known):
-    """L2 of the difference over the times at a point, relative, the largest of the points that move."""
+    """Return the relative L2 difference over the times, the largest over the points that move."""
     size, off = (np.linalg.norm(x, axis=(0, 2)) for x in (known, found - known))
     moving = size > 1e-9 * size.max()
     return float((off[moving] / size[moving]).max())
 
 
 def rounded(value):
-    """Plain data with its numbers rounded to DIGITS digits."""
+    """Return plain data with its numbers rounded to DIGITS digits."""
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}")
     if isinstance(value, dict):

@@ -1,8 +1,8 @@
-"""Runs the peers and writes what they give as reference arrays, which tests/acoustics/test_peers.py reads.
+"""Run the other programs, and write their results as reference arrays for tests/acoustics/test_peers.py.
 
     PYTHONPATH=.:scripts/bench PEERS/bin/python scripts/peers/write_reference.py
 
-where PEERS is the folder that scripts/peers/setup.py made. Every file holds inputs, outputs, versions and seconds.
+PEERS is the folder that scripts/peers/setup.py made. Every file contains inputs, outputs, versions and seconds.
 """
 
 import importlib.metadata
@@ -20,7 +20,7 @@ SPEED_M_S = 340.0
 FREQUENCY_HZ = 40e3
 FOCUS_M = np.array([0.02, 0.01, 0.2])
 SHIFTS = (0, 64, 128, 192)
-"""Phase added to the last two units [1/256 turn]: from the four magnitudes comes the phase between the two pairs."""
+"""Phases added to the last two units [1/256 turn]: the four magnitudes determine the phase between the two pairs."""
 
 
 def versions(*names: str) -> str:
@@ -35,7 +35,7 @@ def write(name: str, **arrays: object) -> None:
 
 
 def autd3_emulator() -> None:
-    """Four units focused, with random intensities: magnitudes in a box around the focus and in one far away."""
+    """Compute four focused units with random intensities: magnitudes in a box around the focus and in one far away."""
     array = layout("autd3_2x2")
     distance = np.linalg.norm(FOCUS_M - array.positions, axis=1)
     phase = np.round(-256.0 * FREQUENCY_HZ / SPEED_M_S * distance).astype(int) % 256
@@ -75,7 +75,7 @@ def autd3_emulator() -> None:
 
 
 def levitate() -> None:
-    """Pistons and point sources that look all ways; for point sources the gradient too, which levitate has exactly."""
+    """Compute pistons and omnidirectional point sources, for which the gradient of levitate is exact."""
     from levitate.materials import air
     from levitate.transducers import CircularPiston, PointSource
 

@@ -1,8 +1,8 @@
-"""How far the fit of transducers one by one can be trusted: boards of a laboratory that shares no model with it.
+"""Test the fit of single transducers on boards of a simulated laboratory, which shares no model with it.
 
     python scripts/verification/check_calibration.py [--boards 3]
 
-Prints a table for docs/calibration.md.
+It prints a table for docs/calibration.md.
 """
 
 import argparse
@@ -20,7 +20,7 @@ P0 = 2.2
 
 
 def judged(seed: int, exact: bool = False) -> dict[str, Any]:
-    """Errors of one board: phase [rad] and gain of those that sound, with standard errors, and counts of faults."""
+    """Return errors of one board: phase [rad] and gain of active transducers, standard errors, and fault counts."""
     board = layout("sonicsurface")
     random = np.random.default_rng(seed)
     truth = strange_board(random, len(board))

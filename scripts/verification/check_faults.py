@@ -1,8 +1,8 @@
-"""What the player makes of faults of the line, the host and its processes, as a table, on virtual SonicSurfaces.
+"""Test the player against faults of line, host and processes on virtual SonicSurfaces, and print a table.
 
     python scripts/verification/check_faults.py --write docs/bench/faults.md
 
-It takes a minute. The same faults are asserted by tests/drive/player/test_faults.py.
+It takes a minute. tests/drive/player/test_faults.py asserts the same faults.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 
 AFTER_S = 0.1
-"""From when on latency counts as that after a fault."""
+"""Time from which latency counts as that after a fault."""
 
 
 def stalled(length_s: float, seconds: float) -> tuple[str, Outcome]:

@@ -1,20 +1,20 @@
 #!/usr/bin/env python3
-"""Modes for every load of a class against the whole layer on the same mesh, under loads that no basis was made for.
+"""Compare modes for a load class with the whole layer on the same mesh, for loads outside the examples.
 
 python scripts/verification/check_modes.py [SCENE ...] [--blocks 12 22 32] [--write docs/bench/modes.md] [--commit HASH]
 
-For each scene (a name in mjcf/scenes, palm_am200 by default; behind it `:shadows` for modes whose class has the edges
-of shadows, `:sheets` for three sheets that relax by laws of their own, `:contrast` for one a hundred times as stiff as
-the next, with other losses) and number of blocks: modes, time to make them, memory of their numbers, and the relative
-error of displacement and velocity, L2 over the surface and 50 ms, for
+For each scene (a name in mjcf/scenes, palm_am200 by default; with suffix `:shadows` for a class with shadow edges,
+`:sheets` for three sheets with different relaxation, `:contrast` for one sheet a hundred times as stiff as the next,
+with other losses) and number of blocks: modes, time to make them, memory of their numbers, and the relative error of
+displacement and velocity, L2 over the surface and 50 ms, for
 
-- a focus at 4 and at 11 m/s on a circle that no example lies on, from a sudden start; the same at 4 m/s that a control
-  rate of 1 kHz holds; AM 200 Hz; a focus that comes at 1 ms and goes at 25; a hand that moves 20 mm sideways and
-  12 mm up in 50 ms (0.5 m/s); two foci half a wavelength apart; a finger's shadow, 14 mm wide, that crosses the spot:
-  with the share of each point's area that is lit, and point by point, each lit or dark.
+- a focus at 4 and at 11 m/s on a circle that no example contains, from a sudden start; the same at 4 m/s with a control
+  rate of 1 kHz; AM 200 Hz; a focus on from 1 ms to 25 ms; a hand that moves 20 mm sideways and 12 mm up in 50 ms (0.5
+  m/s); two foci half a wavelength apart; a finger's shadow, 14 mm wide, that crosses the spot: once with the lit share
+  of each point's area, and once with points that are either lit or dark.
 
-Beside each stand the errors that the stepper states for such a load, and what it saw outside its class. A picture of
-the error against the number of modes lies beside the page.
+Each row also has the error estimates of the stepper and the share of the load outside its class. A picture of the error
+over the number of modes is next to the page.
 """
 
 import argparse
@@ -51,7 +51,7 @@ ROWS = [
     "| estimate |",
     "",
 ]
-"""Head of the rows that are kept; errors in percent, displacement / velocity."""
+"""Head of the stored rows; errors in percent, displacement / velocity."""
 LENGTH_S = 0.05
 HALF_WAVELENGTH_m = 0.0043
 OFF_GRID_m: Float = np.array([0.0023, 0.0017, 0.0])
@@ -73,11 +73,11 @@ VARIANTS: dict[str, dict[str, object]] = {
         "skin.shares": (0.05, 0.95),
     },
 }
-"""Keys of a skin by what stands behind a scene's name."""
+"""Keys of a skin by the suffix of a scene's name."""
 
 
 class Trials:
-    """Loads on one skin of a scene, each as pressure at the quadrature points at all substeps' ends, (s + 1, q)."""
+    """Loads on one skin of a scene: pressure at the quadrature points at the ends of all substeps, (s + 1, q)."""
 
     def __init__(self, model: HapticModel) -> None:
         posed, skin = reference_scene(model), model.skins[0]
@@ -92,7 +92,7 @@ class Trials:
         self._spot = self._many(self._one[None])[0]
 
     def all(self) -> dict[str, tuple[float, Callable[[], Float]]]:
-        """By name: the corner of the load's spectrum [Hz], for the stated error, and the load."""
+        """Return by name the corner of the load's spectrum [Hz], for the error estimate, and the load."""
         spot_m = 0.0105
         moving = 1.0 / (np.pi * spot_m)
         return {
@@ -142,7 +142,7 @@ class Trials:
 
 
 def march(stepper: SkinStepper, load: Float, surface: sparse.csr_matrix, outside: OutsideClass | None = None) -> Float:
-    """Motion of the surface after each substep, shape (s, 2, m)."""
+    """Return the motion of the surface after each substep, shape (s, 2, m)."""
     state, reader, motion = np.zeros((1, stepper.state_size)), stepper.reader(surface), []
     pressure = load if stepper.points is None else load[:, stepper.points]
     for start in range(0, len(load) - 1, STEPS_A_CALL):
@@ -158,7 +158,7 @@ def march(stepper: SkinStepper, load: Float, surface: sparse.csr_matrix, outside
 
 
 def relative(motion: Float, truth: Float) -> tuple[float, float]:
-    """Relative differences of displacement and velocity."""
+    """Return the relative differences of displacement and velocity."""
     size = np.linalg.norm(truth, axis=(0, 2))
     return tuple(np.linalg.norm(motion - truth, axis=(0, 2)) / size)
 
@@ -217,7 +217,7 @@ def main() -> None:
 
 
 def base_table(lines: list[str]) -> list[str]:
-    """The bases of all scenes."""
+    """Return the table of the bases of all scenes."""
     return [
         "| scene | unknowns | shapes / points | modes | build time [s] | memory [MB] |",
         "|---|---|---|---|---|---|",
@@ -226,7 +226,7 @@ def base_table(lines: list[str]) -> list[str]:
 
 
 def error_table(lines: list[str]) -> list[str]:
-    """Error / estimate by load and scene, with the most modes of each scene."""
+    """Return error / estimate by load and scene, with the most modes of each scene."""
     rows = [cells(line) for line in lines]
     scenes = {row[0]: row[3] for row in rows}
     table = [f"| load | {' | '.join(f'{scene}, {modes}' for scene, modes in scenes.items())} |"]

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""How late the player is beside a busy solver, with real-time priority and without, and next to a plain writer thread.
+"""Measure the delay of the player during a running solver, with and without real-time priority.
 
 python scripts/verification/check_player.py [--seconds 60] [--write docs/bench/player.md] [--load WORDS] [--commit HASH]
 
-Four runs of so many seconds: AUTD packets at 2 kHz and SonicSurface frames at line rate, each with priority and
-without. Exit code 1 where a goal is missed.
+It is compared with a plain writer thread. There are four runs of --seconds: AUTD packets at 2 kHz and SonicSurface
+frames at line rate, each with and without priority. The exit code is 1 if a goal is missed.
 """
 
 import argparse
@@ -52,7 +52,7 @@ def sonic_row(how: str, run: SonicRun) -> str:
 
 
 def goals(autd: tuple[AutdRun, AutdRun], sonic: tuple[SonicRun, SonicRun]) -> list[tuple[str, str, bool]]:
-    """What is wanted, what came, and whether that is met; the first of each pair is with priority."""
+    """Return each goal, the measured value, and whether it is met; the first of each pair is with priority."""
     p99, pauses = autd[0].player.line.p99_s, autd[0].pauses
     missing = autd[0].player.skipped + autd[0].player.lost
     mine, threads = autd[1].player.line.p99_s, autd[1].thread.line.p99_s
@@ -76,7 +76,7 @@ def goals(autd: tuple[AutdRun, AutdRun], sonic: tuple[SonicRun, SonicRun]) -> li
 
 
 def page(seconds: float, load: str, commit: str) -> tuple[str, bool]:
-    """The page, and whether all goals are met."""
+    """Return the page, and whether all goals are met."""
     simulation = Simulation(SCENE)
     simulation.step()
 

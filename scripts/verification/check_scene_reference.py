@@ -1,16 +1,17 @@
 #!/usr/bin/env python3
-"""Hold the scenes against the arrays that the program before the redesign of its core gave (commit f6cb3e2).
+"""Compare the scenes with stored arrays of the program before the redesign of its core (commit f6cb3e2).
 
-Where the facts of a small one have `forces_commit`, its arrays were stored again at that commit: forces are of what is
-emitted since (up to 30 % in the millisecond of a ring-up, 4 % later), sound from behind does not reach a surface, and
-the mean of a moving focus keeps each moment's own lit points (0.06 % of the force of hover_explore). `path_commit`: the
-same for a path on the skin (stroke_palm), which is nearer to the shortest since (force 0.2 %, displacement 0.2 %).
-`mesh_commit`: the same (`--store`) for meshes that serve all foci of a region, and for outlines and depths of patches
-that do not follow the edges. Forces changed by at most 3e-4 and ARP by 3e-3 then, the motion of these coarse layers by
-0.2 to 3 %, where a focus moves on the palm by 15 to 65 %. With focus_region_m 0 the discs gave their old arrays.
+If the facts of a small scene have `forces_commit`, its arrays were stored again at that commit. Since then, forces are
+those of the emitted sound (change up to 30 % in the millisecond of a ring-up, 4 % later), sound from behind does not
+reach a surface, and the mean of a moving focus keeps the lit points of each moment (change 0.06 % of the force of
+hover_explore). `path_commit`: the same for a path on the skin (stroke_palm), which has been nearer to the shortest one
+since (force 0.2 %, displacement 0.2 %). `mesh_commit`: the same (`--store`) for meshes for all foci of a region, and
+for outlines and depths of patches that do not depend on the edges. Forces then changed by at most 3e-4 and ARP by 3e-3,
+the motion of these coarse layers by 0.2 to 3 %, and by 15 to 65 % with a moving focus on the palm. With focus_region_m
+0 the discs had their old arrays.
 
-The solver, the mesh and the step are those that it took then. `small` layers take seconds and are a test; `shipped` are
-the scenes as they are, some minutes each: run this file.
+Solver, mesh and step are the same as at that commit. `small` layers take seconds and are a test. `shipped` scenes take
+some minutes each: run this file.
 """
 
 import argparse
@@ -30,23 +31,26 @@ from palmfield.simulation import skin_sound
 
 REFERENCE = Path(__file__).parents[2] / "tests" / "data" / "scene_reference"
 TOLERANCE, IN_POINTS = 1e-5, 5e-4
-"""Of each array's largest value. The second is for the motion of skins with small models, which have looked at their
-load in few points since: a tenth of what reduction may cost at accuracy 0.05."""
+"""Tolerances relative to the maximum of each array.
+
+The second is for the motion of skins with small models, which use few points of their load now: a tenth of the
+allowed reduction error at accuracy 0.05.
+"""
 MOTION = ("displacement_m", "velocity_m_s", "sensor channel 3", "sensor channel 4")
 P0_PA_M = 2.53
-"""Of all arrays then."""
+"""p0 of all arrays at that commit."""
 NODES = 24
 FORCE, DISPLACEMENT, VELOCITY, ARP = slice(0, 3), 3, 4, 5
-"""Channels of the skin's sensor."""
+"""Channels of the sensor of the skin."""
 
 
 def scenes(size: str) -> list[str]:
-    """Names of the scenes with stored arrays. size: "small" or "shipped"."""
+    """Return the names of the scenes with stored arrays. size: "small" or "shipped"."""
     return sorted(path.stem for path in (REFERENCE / size).glob("*.npz"))
 
 
 def opened(facts: dict[str, Any]) -> Simulation:
-    """The scene as it was stepped then, at the time from which it was stored."""
+    """Return the scene with the steps of that time, at the time from which it was stored."""
     solver = facts["began"]
     if facts["began"] != facts["ended"]:
         solver = "auto"  # only this may leave its small model
@@ -60,7 +64,7 @@ def opened(facts: dict[str, Any]) -> Simulation:
 
 
 def differences(size: str, name: str) -> list[tuple[str, float]]:
-    """What was compared, and its largest difference over the stored array's largest value."""
+    """Return the names of the compared arrays, and their largest differences relative to the stored maximum."""
     # The force then came from all samples of a body, also from those that the arrays don't see
     with patch.object(skin_sound, "visible", lambda points, normals, arrays: np.ones(len(points), np.bool_)):
         return list(_differences(size, name))
@@ -85,13 +89,16 @@ def _differences(size: str, name: str) -> Iterator[tuple[str, float]]:
 
 
 def stored(size: str, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Facts and arrays of a scene on disk."""
+    """Return the stored facts and arrays of a scene."""
     with np.load(REFERENCE / size / f"{name}.npz") as file:
         return json.loads(str(file["facts"])), {key: file[key] for key in file.files if key != "facts"}
 
 
 def stepped(facts: dict[str, Any], nodes: Any = None) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Facts and arrays of a scene stepped now. nodes: of the surface, by default as many as in the stored arrays"""
+    """Return facts and arrays of a scene stepped now.
+
+    nodes: of the surface, by default as many as in the stored arrays
+    """
     sim = opened(facts)
     skin, layer = sim.skin(), sim.runtime.model.skins[0].layer
     if nodes is None:
@@ -116,7 +123,7 @@ def stepped(facts: dict[str, Any], nodes: Any = None) -> tuple[dict[str, Any], d
 
 
 def store(size: str, name: str, commit: str) -> None:
-    """Store the arrays of a scene again, with the commit in the facts as `mesh_commit`; print what changed."""
+    """Store the arrays of a scene again, with `mesh_commit` in the facts, and print the changes."""
     facts, before = stored(size, name)
     with patch.object(skin_sound, "visible", lambda points, normals, arrays: np.ones(len(points), np.bool_)):
         found, arrays = stepped(facts)
@@ -133,12 +140,12 @@ def store(size: str, name: str, commit: str) -> None:
 
 
 def allowed(size: str, name: str, what: str) -> float:
-    """The largest difference that is allowed in what was compared."""
+    """Return the largest allowed difference of an array."""
     return IN_POINTS if stored(size, name)[0]["began"] == "reduced" and what in MOTION else TOLERANCE
 
 
 def relative(values: Any, expected: Any) -> float:
-    """Largest difference over the largest expected value."""
+    """Return the largest difference relative to the largest expected value."""
     if np.shape(values) != np.shape(expected):
         return float("inf")
     largest = float(np.abs(expected).max(initial=0.0))

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Small forms of the shipped scenes on a GPU against the CPU: sensors, forces, displacement and ARP over some steps.
+"""Compare small forms of the shipped scenes on GPU and CPU: sensors, forces, displacement and ARP.
 
 python scripts/verification/check_scenes_on_gpu.py [SCENE ...] [--steps 20] [--write docs/bench/gpu_scenes.md]
 
 SCENE is a name in tests/data/scene_reference/small; all of them by default. Differences are relative to the largest of
-the quantity over the run; of a force's components, to the largest length of the vector. "flipped" is the share of nodes
-and steps at which ARP differs by more than 1e-4: there a shadow's ray grazes an edge, and rounding decides
-which side.
+the quantity over the run; those of force components are relative to the largest length of the vector. "flipped" is the
+share of nodes and steps at which ARP differs by more than 1e-4: there a shadow ray grazes an edge, and rounding
+determines the side.
 """
 
 import argparse
@@ -30,7 +30,7 @@ HEAD = "| scene | sensors | force | displacement | ARP, without flipped points |
 
 
 def steps_of(name: str, device: str, steps: int) -> dict[str, Any]:
-    """Sensors, force of each skin's body, normal displacement and ARP of the first skin, after each step."""
+    """Return sensors, force of each skin's body, normal displacement and ARP of the first skin, after each step."""
     facts = json.loads(str(np.load(REFERENCE / f"{name}.npz")["facts"]))
     keys = facts["keys"] | {"skin.solver": "wedges" if facts["began"] == "wedges" else "auto"}
     sim = Simulation(ROOT / "mjcf" / "scenes" / f"{name}.xml", device=device, keys=keys)
@@ -48,7 +48,7 @@ def steps_of(name: str, device: str, steps: int) -> dict[str, Any]:
 
 
 def row(name: str, device: str, steps: int) -> tuple[str, bool]:
-    """A line of the table, and whether all is within LIMIT but for flipped nodes."""
+    """Return a line of the table, and whether all values except flipped nodes are within LIMIT."""
     here, there = steps_of(name, "cpu", steps), steps_of(name, device, steps)
     apart = {key: np.abs(there[key] - here[key]) for key in here}
     channels = here["sensors"].reshape(steps, -1, len(CHANNELS))

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Shadows with knife edges and by rays against a Kirchhoff screen.
+"""Compare shadows by knife edges and by rays with a Kirchhoff screen.
 
 python scripts/verification/check_shadows.py [--write docs/bench/shadows.md] [--commit HASH]
 
-An opaque strip (a finger's width) and a half plane between array and focus move across the beam. The truth is
-Kirchhoff's integral over the opaque area in float64, point by point of the screen, for each transducer. A finger has
-its truth in scripts/verification/check_shadows_bem.py.
+An opaque strip (a finger's width) and a half plane between array and focus move across the beam. The reference is
+Kirchhoff's integral over the opaque area in float64 for each transducer. The reference of a finger is in
+scripts/verification/check_shadows_bem.py.
 
-Errors are those of |p|^2, as shares of the free focus's peak. A picture lies beside the page.
+Errors are those of |p|^2 relative to the peak of the free focus. A picture is next to the page.
 """
 
 import argparse
@@ -36,17 +36,17 @@ from palmfield.types import Complex, Float, Int
 
 ROOT = Path(__file__).resolve().parents[2]
 HEIGHT_m, SCREEN_m, STRIP_m = 0.2, 0.12, 0.016
-"""Of the focus, of the screen, and the strip's width."""
+"""Heights of the focus and of the screen, and width of the strip."""
 REACH_m = 0.09
-"""Half the length of screens: the sound of all transducers passes nearer to their middle."""
+"""Half length of screens: the sound of all transducers passes closer to their middle."""
 CELL_m = 5e-4
 STEP_m = 1e-4
 ELEMENTS_HEADING = "## A finger over a palm, by boundary elements"
-"""Of the part of the page that another script writes."""
+"""Heading of the part of the page that another script writes."""
 
 
 class Place(NamedTuple):
-    """Where sound is looked at: points [m] and outward normals, shapes (n, 3), and what computes it there."""
+    """Evaluated points [m] with outward normals, shapes (n, 3), and the objects that compute the sound there."""
 
     points: Float
     normals: Float
@@ -54,34 +54,34 @@ class Place(NamedTuple):
 
 
 def array() -> PhasedArray:
-    """The 16 x 16 board."""
+    """Return the 16 x 16 board."""
     place = Placement.of(IDENTITY)
     return PhasedArray([ArrayInstance(ArrayConfig(layout="uhev1"), place)], [place], "cpu")
 
 
 def focused(arrays: PhasedArray) -> Complex:
-    """Drive of a focus over the middle, shape (N,)."""
+    """Return the drive of a focus over the middle, shape (N,)."""
     away = np.linalg.norm(arrays.array.positions - [0.0, 0.0, HEIGHT_m], axis=1)
     return np.exp(-2j * np.pi * away / wavelength(arrays))
 
 
 def wavelength(arrays: PhasedArray) -> float:
-    """In metres."""
+    """Return the wavelength [m]."""
     return Emitters(arrays, rows_of(arrays.field), "cpu").wavelength_m
 
 
 def moved(points: Float, x: float = 0.0, z: float = 0.0) -> Float:
-    """Points elsewhere, shape (n, 3)."""
+    """Return shifted points, shape (n, 3)."""
     return points + np.array([x, 0.0, z])
 
 
 def most(steps: Float) -> float:
-    """The largest change from one row to the next."""
+    """Return the largest change from one row to the next."""
     return float(np.abs(np.diff(steps, axis=0)).max())
 
 
 def line(arrays: PhasedArray, count: int = 61) -> Place:
-    """Points along x through the focus, looking at the board."""
+    """Return points along x through the focus, facing the board."""
     points = np.zeros((count, 3))
     points[:, 0], points[:, 2] = np.linspace(-0.024, 0.024, count), HEIGHT_m
     normals = np.tile([0.0, 0.0, -1.0], (count, 1))
@@ -91,7 +91,7 @@ def line(arrays: PhasedArray, count: int = 61) -> Place:
 def squares(
     arrays: PhasedArray, place: Place, shape: tuple[Float, Int], shifts: Float, spacing_m: float = SKIN_SPACING_m
 ) -> tuple[Float, Float]:
-    """|p|^2 at a place behind a shape moved along x, shapes (shifts, n): with knife edges, and by rays.
+    """Return |p|^2 at a place behind a shape moved along x, shapes (shifts, n): with knife edges, and by rays.
 
     spacing_m: of the nodes at which weights are computed
     """
@@ -115,10 +115,10 @@ def squares(
 def screen_integral(
     arrays: PhasedArray, points: Float, low_m: float, high_m: float, screen_m: float = SCREEN_m
 ) -> Complex:
-    """What an opaque screen between x = low and high leaves of each transducer's sound at points, shape (n, N).
+    """Return the share of each transducer's sound at points behind an opaque screen, shape (n, N).
 
-    Kirchhoff's integral with obliquity over the opaque area at this height, in float64. Where the screen ends in y its
-    sum is faded out, so that its ends, which a half plane does not have, send nothing.
+    The screen is between x = low and high. Kirchhoff's integral with obliquity over the opaque area at this height, in
+    float64. At its ends in y the sum is faded out, because a half plane has no such ends, which would scatter sound.
     """
     k = 2.0 * np.pi / wavelength(arrays)
     x = np.arange(low_m + 0.5 * CELL_m, high_m, CELL_m)
@@ -143,7 +143,7 @@ def screen_integral(
 
 
 def screen_squares(arrays: PhasedArray, points: Float, left: Complex) -> Float:
-    """|p|^2 at points where so much of each transducer's sound is left, shapes (n,) and (n, N)."""
+    """Return |p|^2 at points with these shares of each transducer's sound, shapes (n,) and (n, N)."""
     drive = focused(arrays)
     pairs = zip(points, left, strict=True)
     sums = [pressure64(point[None], arrays.array, drive * rest, arrays.air)[0][0] for point, rest in pairs]
@@ -151,13 +151,13 @@ def screen_squares(arrays: PhasedArray, points: Float, left: Complex) -> Float:
 
 
 def flat(low_m: float, high_m: float) -> tuple[Float, Int]:
-    """A thin opaque plate from x = low to high."""
+    """Return a thin opaque plate from x = low to high."""
     box = trimesh.creation.box((high_m - low_m, 0.4, 2e-4))
     return moved(np.array(box.vertices), x=0.5 * (low_m + high_m), z=SCREEN_m), np.array(box.faces, np.int32)
 
 
 def screens(arrays: PhasedArray, axes: list[plt.Axes]) -> list[str]:
-    """Rows of the table for a strip and a half plane."""
+    """Return rows of the table for a strip and a half plane."""
     place, rows = line(arrays, 25), []
     peak = float(screen_squares(arrays, place.points[12:13], np.ones((1, len(arrays))))[0])
     for axis, (name, low, high) in zip(
@@ -184,7 +184,7 @@ def screens(arrays: PhasedArray, axes: list[plt.Axes]) -> list[str]:
 
 
 def row(name: str, bent: Float, cut: Float, true: Float, peak: float, step: float, jump: float) -> str:
-    """Of the table: worst and rms errors of both, and what 0.1 mm changes."""
+    """Return a row of the table: worst and rms errors of both methods, and the change by 0.1 mm."""
     one, other = np.abs(bent - true) / peak, np.abs(cut - true) / peak
     rms = [np.sqrt((error**2).mean()) for error in (one, other)]
     return (

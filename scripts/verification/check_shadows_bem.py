@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Shadows of a finger over a palm with knife edges, against boundary elements.
+"""Compare shadows of a finger over a palm by knife edges with boundary elements.
 
 python scripts/verification/check_shadows_bem.py [--write docs/bench/shadows.md] [--commit HASH]
 
-A rigid round finger with rounded ends lies across the beam, its upper side 10 to 20 mm below the plane of the focus,
-and moves across. The truth on that plane is the array's sound with what the finger scatters, by boundary elements. The
-palm itself is left out in both, as its echo is in neither: what is compared is the sound that comes to it.
+A rigid round finger with rounded ends is across the beam, with its upper side 10 to 20 mm below the plane of the focus,
+and moves across. The reference on that plane is the sound of the array plus the sound scattered by the finger, by
+boundary elements. Both methods omit the palm and its echo: the comparison is of the incident sound.
 
-Errors are those of |p|^2, as shares of the free focus's peak. A picture lies beside the page.
+Errors are those of |p|^2 relative to the peak of the free focus. A picture is next to the page.
 """
 
 import argparse
@@ -50,24 +50,24 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "oracles"
 from scattered_sound import scattered_field
 
 RADIUS_m, LENGTH_m = 0.008, 0.06
-"""Of the finger; its length has both rounded ends in it."""
+"""Radius and length of the finger; the length includes both rounded ends."""
 GAPS_m = (0.010, 0.015, 0.020)
 OFFSETS_m = np.arange(0.0, 0.0261, 0.002)
-"""Of the finger's axis from the middle of the beam; sound and finger are the same on either side."""
+"""Distances of the finger's axis from the middle of the beam; both sides are symmetric."""
 PER_WAVELENGTH = 7.0
-"""Elements; with 10 the sound at the focus changes by less than 0.3 % of the free peak."""
+"""Elements per wavelength; with 10 the sound at the focus changes by less than 0.3 % of the free peak."""
 WANTED = 0.05
 CLOSER_m = 0.004
-"""Between nodes at which weights are computed: half of what a scene has."""
+"""Distance between nodes at which weights are computed: half of that in a scene."""
 SHOWN = 4
-"""The place of the finger in the lower row of the picture."""
+"""Position of the finger in the lower row of the picture."""
 
 
 class Compared(NamedTuple):
     """|p|^2 over the free peak at points of a plane behind a finger, shapes (offsets, n).
 
     points: [m], shape (n, 3); faces: of the finger's mesh; true: by boundary elements
-    knife, rays: by both ways; closer: by knife edges with nodes CLOSER_m apart
+    knife, rays: by both methods; closer: by knife edges with nodes CLOSER_m apart
     """
 
     points: Float
@@ -79,7 +79,7 @@ class Compared(NamedTuple):
 
 
 def finger(gap_m: float, edge_m: float, radius_m: float = RADIUS_m, length_m: float = LENGTH_m) -> tuple[Float, Int]:
-    """A capsule along y in the middle of the beam: vertices [m], shape (v, 3), and faces, shape (f, 3)."""
+    """Return a capsule along y in the middle of the beam: vertices [m], shape (v, 3), and faces, shape (f, 3)."""
     straight = length_m - 2.0 * radius_m
     bend = np.linspace(0.0, 0.5 * np.pi, round(0.5 * np.pi * radius_m / edge_m) + 1)
     along = np.linspace(-0.5 * straight, 0.5 * straight, round(straight / edge_m) + 1)
@@ -92,13 +92,13 @@ def finger(gap_m: float, edge_m: float, radius_m: float = RADIUS_m, length_m: fl
 
 
 def plane(arrays: PhasedArray, x: Float, y: Float) -> Place:
-    """Points of the palm's plane on a grid, looking at the board."""
+    """Return points of the palm's plane on a grid, facing the board."""
     points = np.stack([*np.meshgrid(x, y, indexing="ij"), np.full((len(x), len(y)), HEIGHT_m)], axis=-1).reshape(-1, 3)
     return Place(points, np.tile([0.0, 0.0, -1.0], (len(points), 1)), SurfaceArp(arrays.field, len(points)))
 
 
 def compared(arrays: PhasedArray, place: Place, offsets: Float, shape: tuple[Float, Int]) -> Compared:
-    """A finger at some places across the beam."""
+    """Compare the methods for a finger at some positions across the beam."""
     drive, length = focused(arrays), wavelength(arrays)
     vertices, faces = shape
     peak = abs(arrays.field.pressure(np.array([[0.0, 0.0, HEIGHT_m]]), drive).pressure[0]) ** 2
@@ -117,12 +117,12 @@ def compared(arrays: PhasedArray, place: Place, offsets: Float, shape: tuple[Flo
 
 
 def on_axis(points: Float) -> Float:
-    """The points of the middle line across the finger, as a mask."""
+    """Return the points of the middle line across the finger, as a mask."""
     return np.abs(points[:, 1]) < 1e-9
 
 
 def strip(arrays: PhasedArray, points: Float, gap_m: float) -> Float:
-    """|p|^2 over the free peak at points of the middle line behind a strip as wide as the finger, (offsets, n)."""
+    """Return |p|^2 over the free peak on the middle line behind a strip as wide as the finger, (offsets, n)."""
     height = HEIGHT_m - gap_m - RADIUS_m
     peak = screen_squares(arrays, np.array([[0.0, 0.0, HEIGHT_m]]), np.ones((1, len(arrays.array))))[0]
     rows = []
@@ -133,7 +133,7 @@ def strip(arrays: PhasedArray, points: Float, gap_m: float) -> Float:
 
 
 def row(gap_m: float, found: Compared, screen: Float) -> str:
-    """Of the table."""
+    """Return a row of the table."""
     numbers, middle = [], on_axis(found.points)
     for error in (
         np.abs(found.knife - found.true),

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Solvers spectral_elements and particles of a scene's skin against wedges on the CPU: their difference and their time.
+"""Compare solvers spectral_elements and particles in a scene with wedges on the CPU: difference and time.
 
 python scripts/verification/check_steppers_on_gpu.py [SCENE ...] [--device cuda:0] [--duration 0.03] [--set KEY=VALUE]
 
-SCENE is one of SCENES, both by default, at the sizes there. "surface" and "focus" are differences of the
-displacement from that of wedges, relative, L2 over the times, over the surface and at the node that moves most.
-"stated" is what both runs state of their mesh and step (summary.json), the solver's and then that of wedges: they share
-the cut edge. A difference at the focus above the sum fails. "again" says whether a copy made in the middle of a run has
-gone on with the same bits.
+SCENE is one of SCENES, both by default, at the sizes there. "surface" and "focus" are differences of the displacement
+from that of wedges, relative, L2 over the times, over the surface and at the node that moves most. "stated" has the
+estimates of both runs for mesh and step (summary.json), first of the solver, then of wedges; both have the same cut
+edge. The check fails if the difference at the focus exceeds their sum. "again" is whether a copy made during a run
+continued with the same bits.
 """
 
 import argparse
@@ -35,7 +35,7 @@ HEAD = (
 
 
 def moved(scene: str, device: str, duration_s: float, keys: dict[str, Any]) -> tuple[np.ndarray, dict[str, Any]]:
-    """Displacement [m] of the surface nodes over the times of a run, (t, S, 3), and its skin's summary."""
+    """Return the displacement [m] of the surface nodes over the times of a run, (t, S, 3), and its skin's summary."""
     sim = Simulation(ROOT / "mjcf" / "scenes" / f"{scene}.xml", device=device, keys=keys)
     result = palmfield.run(sim, None, duration_s=duration_s, progress=False)
     return result.dataset[f"skin/{sim.skins[0]}"]["displacement"].values, result.summary["skins"][0]
@@ -46,7 +46,7 @@ def _of_mesh_and_step(summary: dict[str, Any]) -> float:
 
 
 def pace(scene: str, device: str, duration_s: float, keys: dict[str, Any]) -> tuple[float, int, bool]:
-    """Wall ms per simulated ms once all is made, steps of the scheme in one of MuJoCo's, and whether a copy repeats."""
+    """Return wall ms per simulated ms after preparation, scheme steps per MuJoCo step, and whether a copy repeats."""
     sim = Simulation(ROOT / "mjcf" / "scenes" / f"{scene}.xml", device=device, keys=keys)
     model = sim.runtime.model
     timestep_s = model.spec.timestep_s
@@ -68,7 +68,7 @@ def pace(scene: str, device: str, duration_s: float, keys: dict[str, Any]) -> tu
 
 
 def rows(scene: str, device: str, duration_s: float, keys: dict[str, Any]) -> tuple[list[str], bool]:
-    """Lines of the table, and whether all are within what is stated."""
+    """Return lines of the table, and whether all values are within the estimates."""
     expected, own = moved(scene, "cpu", duration_s, keys | {"skin.solver": "wedges"})
     lines, good = [], True
     most = int(np.argmax(np.linalg.norm(expected, axis=2).max(axis=0)))

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Trials of a fingertip that draws half a circle, on SonicSurface and AUTD, and the latency of a live hand.
+"""Run trials of a fingertip on half a circle, on SonicSurface and AUTD; measure the latency of a live hand.
 
 python scripts/verification/check_trial.py [--write docs/bench/trials.md] [--seconds 10] [--commit HASH]
 
-Trials go by twins of the boards, which take no time and give the same each time, but for those that are said to be in
-real time: they hang on what else this machine does. Exit code 1 where the loop takes more than 29 ms at 95 %. With
---write it writes the page and the pictures beside it.
+Trials use simulated boards with a simulated clock, so their results are repeatable. Trials that are marked as in real
+time depend on the load of the machine. The exit code is 1 if the 95 % latency of the loop exceeds 29 ms. With --write
+the script writes the page, and the pictures next to it.
 """
 
 import argparse
@@ -48,7 +48,7 @@ HEAD = (
 
 
 COLUMNS = (0, 1, 2, 3, 4, 5, 8, 9)
-"""Of the page's table; data/trials.csv has all."""
+"""Columns of the table on the page; data/trials.csv has all."""
 
 
 def tracked(ahead_s: float | None, latency_s: float = 0.01, noise_m: float = 0.0) -> Tracker:
@@ -86,7 +86,7 @@ def row(how: str, result: Trial) -> str:
 
 
 def calibrated(folder: Path) -> tuple[Path, Path]:
-    """What an imaginary board is like, and what its readings say of it."""
+    """Return the properties of an imaginary board, and the result of its calibration."""
     rehearsed("sonicsurface", folder / "board", 0)
     made = folder / "made.json"
     source = Circumstances(source="check_trial.py")
@@ -97,7 +97,7 @@ def calibrated(folder: Path) -> tuple[Path, Path]:
 
 
 def of_unknown_board(folder: Path) -> list[str]:
-    """Rows of a board whose transducers are turned and late, before and after it is calibrated."""
+    """Return rows of a board with rotated and delayed transducers, before and after its calibration."""
     truth, made = calibrated(folder)
     rows = []
     for how, own in (("not calibrated", {}), ("calibrated by its readings", {"array.calibration": str(made)})):
@@ -108,7 +108,7 @@ def of_unknown_board(folder: Path) -> list[str]:
 
 
 def live(folder: Path) -> Trial:
-    """A virtual board that follows a hand which another process replays."""
+    """Run a virtual board that follows a hand which another process replays."""
     view = preview(SCENE, device="cpu", **SONIC)
     write_stream(folder / "hand.npz", scene_stream(view, 90.0, 4.0))
     started = []
@@ -141,7 +141,7 @@ def reports(folder: Path, write: Path | None) -> list[str]:
 
 
 def page(seconds: float, write: Path | None, commit: str) -> tuple[str, Latency]:
-    """The page, and the latency of the loop."""
+    """Return the page, and the latency of the loop."""
     began, busy = time.perf_counter(), os.getloadavg()[0]
     with TemporaryDirectory() as made:
         folder = Path(made)

@@ -1,10 +1,11 @@
-"""Do modes depend on how a scene is turned, mirrored, or on the order of its arrays? Small scenes, public level.
+"""Test whether modes depend on rotation or mirroring of a scene, or on the order of its arrays.
 
     python scripts/verification/check_turned.py [--accuracy 0.4 0.1]
 
-Two arrays under a disc of skin: the whole scene turned, moved by 0.1 um, and with its arrays in the other order. For
-each it prints the relative change of the skin's displacement over 20 ms, divided by the error that the modes state. The
-mirrored scene has another mesh, so that modes are compared with the whole layer on the same mesh in both.
+The scenes are small and use the public interface. Two arrays are under a disc of skin: the whole scene is rotated,
+moved by 0.1 um, and has its arrays in the other order. For each case the script prints the relative change of the
+displacement over 20 ms, divided by the error estimate of the modes. The mirrored scene has another mesh, so there the
+script compares modes with the whole layer on the same mesh, in both scenes.
 """
 
 import argparse
@@ -47,7 +48,7 @@ def moved(
     solver: str = "modal",
     steps: int = 20,
 ) -> tuple[Float, float]:
-    """Displacement of the skin in its body's frame, (t, S, 3), and the error that modes state."""
+    """Return the displacement of the skin in its body's frame, (t, S, 3), and the error estimate of the modes."""
     plain = PLAIN.format(
         turn=turn, side=-0.2 * mirror, tilt=0.258819 * mirror, aim=0.003 * mirror, shift=shift
     )  # fmt: skip

@@ -1,22 +1,22 @@
 #!/usr/bin/env python3
-"""USD scenes of all shipped scenes, checked from the USD files alone, with sizes, times and pictures.
+"""Check the USD scenes of all shipped scenes from the USD files alone, with sizes, times and pictures.
 
     .venv/bin/python scripts/verification/check_usd.py [SCENE ...] [--runs out/usd] [--pictures FOLDER]
         [--duration 0.02] [--accuracy 0.5] [--write docs/bench/usd.md] [--commit HASH]
 
 Each scene (a name in mjcf/scenes; all of them by default) is run at a coarse accuracy for a short time, unless --runs
-holds its run already. Of each scene.usdc it tells what USD's validators find, and how far off are
+already contains its run. For each scene.usdc it prints the findings of USD's validators, and the errors of
 
-- force: radiation pressure times area over the body's surface, posed by the file's skeleton, against the sound's
-  force on the body in every frame (palmfield:force, which is what MuJoCo got), and its mean over the steps against
-  total_force_mean_N of summary.json, both in percent of the force;
-- codes: a time code over timeCodesPerSecond, against the result's time;
-- transducers: places in the world, against MuJoCo's sites and the layout;
-- skin: each quantity against the result, as a share of the bound that the file states (1 at most);
+- force: radiation pressure times area over the body's surface, posed by the skeleton of the file, against the force in
+  every frame (palmfield:force, which was applied in MuJoCo), and its mean over the steps against total_force_mean_N of
+  summary.json, both in percent of the force;
+- codes: a time code over timeCodesPerSecond, against the time in the result;
+- transducers: positions in the world, against the sites in MuJoCo and the layout;
+- skin: each quantity against the result, relative to the bound in the file (at most 1);
 - legend: its ends against those of each skin's palette.
 
-Pictures are drawn by draw_usd.py. A table at the end has a field of 5,041 vertices and 500 frames (a focus on a circle
-of 30 mm, 70 turns a second, 16 x 16 transducers; ARP and displacement of a lossy half space under it).
+Pictures are drawn by draw_usd.py. A table at the end is for a field of 5,041 vertices and 500 frames (a focus on a
+circle of 30 mm, 70 turns per second, 16 x 16 transducers; ARP and displacement of a lossy half space under it).
 """
 
 import argparse
@@ -57,11 +57,11 @@ COLUMNS = (
 )  # fmt: skip
 HEAD = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
 QUIET = 1e-3
-"""Frames whose force is less than this part of the largest say nothing of a share."""
+"""Frames with a force below this share of the maximum are not used for relative errors."""
 
 
 class Row(NamedTuple):
-    """What is told of a scene; shares in percent, lengths in metres, times in seconds."""
+    """Results for a scene; shares in percent, lengths in metres, times in seconds."""
 
     name: str
     bytes: int
@@ -104,7 +104,7 @@ def check(name: str, run: Path, picture: Path | None) -> Row:
 
 
 def _places(result: xr.DataTree) -> dict[str, str]:
-    """Names of the prims of bodies, by a skin on each."""
+    """Return the names of the prims of bodies, by a skin on each."""
     bodies: dict[str, str] = {}
     for name, group in instances(result, "body").items():
         bodies.setdefault(str(group.attrs.get("body", name)), name)
@@ -112,7 +112,7 @@ def _places(result: xr.DataTree) -> dict[str, str]:
 
 
 def _forces(stage: Usd.Stage, result: xr.DataTree, codes: np.ndarray, summary: dict) -> tuple[float, float]:
-    """The largest differences in a frame, and of the mean over the steps, in percent."""
+    """Return the largest differences in a frame, and of the mean over the steps, in percent."""
     worst, worst_mean = 0.0, 0.0
     by_name = {skin["name"]: skin for skin in summary["skins"]}
     steps = result.coords["step_time"].values
@@ -152,7 +152,7 @@ def _codes(stage: Usd.Stage, result: xr.DataTree, codes: np.ndarray) -> float:
 
 
 def _transducers(stage: Usd.Stage, result: xr.DataTree, name: str) -> float:
-    """How far from the sites that MuJoCo's model of the scene's file has, at the run's beginning [m]."""
+    """Return the distance from the sites in MuJoCo's model of the scene, at the start of the run [m]."""
     sim = palmfield.Simulation(SCENES / f"{name}.xml", accuracy=0.5)
     mujoco.mj_kinematics(sim.model, sim.data)
     binding, worst = sim.runtime.binding, 0.0
@@ -168,7 +168,7 @@ def _transducers(stage: Usd.Stage, result: xr.DataTree, name: str) -> float:
 
 
 def _skins(stage: Usd.Stage, result: xr.DataTree, codes: np.ndarray) -> float:
-    """The largest error of any quantity at any vertex in any frame, over the bound that is stated."""
+    """Return the largest error of any quantity at any vertex in any frame, relative to the stated bound."""
     worst = 0.0
     stride = int(stage.GetRootLayer().customLayerData["palmfield"]["stride"])
     found = {prim.GetName(): prim for prim in stage.Traverse() if prim.GetParent().GetName() == "Skins"}
@@ -198,7 +198,7 @@ def _legend(stage: Usd.Stage) -> bool:
 
 
 def large() -> xr.DataTree:
-    """A focus on a circle over 71 x 71 places, 500 frames: ARP of a 16 x 16 array, and a half space under it."""
+    """Return a focus on a circle over 71 x 71 points, 500 frames: ARP of a 16 x 16 array, and a half space."""
     side, turns_Hz, frames = 71, 70.0, 143
     axis = np.linspace(-0.035, 0.035, side)
     x, y = np.meshgrid(axis, axis)

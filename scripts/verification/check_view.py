@@ -1,8 +1,8 @@
-"""How many pictures a second the live view's page sends, and by how much it slows the simulation down.
+"""Measure the frame rate of the live view's page, and by how much it slows the simulation.
 
-Stretches with the page and stretches without take turns in one run, as fast as the simulation goes; without, the page's
-process and its client are stopped, so that they take no time of the machine. A client of its own process takes the
-pictures in place of a browser. Writes docs/bench/view.md:
+Intervals with the page and without it alternate in one run at full speed. Without it, the process of the page and its
+client are stopped, so that they use no processor time. A client in its own process receives the pictures in place of a
+browser. Writes docs/bench/view.md:
 
     python scripts/verification/check_view.py                        # the demo on the CPU
     python scripts/verification/check_view.py --device cuda:0        # and on a GPU: another table of the page
@@ -44,8 +44,11 @@ WARM_s = 2.0
 
 
 class Stretch(NamedTuple):
-    """steps_s: MuJoCo's steps in a second; cpu_us: of the simulation's process a step; pictures_s: that the client got
-    page_share: of a core, that the page's process takes; load: of the machine over a minute"""
+    """An interval of the measurement.
+
+    steps_s: MuJoCo steps per second; cpu_us: processor time of the simulation per step; pictures_s: received pictures
+    per second; page_share: share of a core that the process of the page uses; load: load of the machine over a minute
+    """
 
     steps_s: float
     cpu_us: float
@@ -55,7 +58,7 @@ class Stretch(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Stretches with the page and without, in turn."""
+    """Intervals with the page and without it, alternating."""
 
     scene: str
     device: str
@@ -65,12 +68,12 @@ class Measured(NamedTuple):
 
     @property
     def slower(self) -> float:
-        """By which part a stretch with the page is slower than the one before it without, median."""
+        """Return the median relative slow-down of an interval with the page from the previous one without it."""
         return 1.0 - statistics.median(a.steps_s / b.steps_s for a, b in zip(self.shown, self.alone, strict=True))
 
     @property
     def more_cpu(self) -> float:
-        """Which part of CPU time a step takes more with the page, median; who else uses the machine matters less."""
+        """Return the median relative increase of processor time per step with the page; other load affects it less."""
         return statistics.median(a.cpu_us / b.cpu_us for a, b in zip(self.shown, self.alone, strict=True)) - 1.0
 
     @property
@@ -79,7 +82,7 @@ class Measured(NamedTuple):
 
 
 def count_pictures(address: str, talk: Connection) -> None:
-    """The client's process: sends the number of pictures so far on request, and at the end their times [s]."""
+    """Process of the client: sends its number of pictures on request, and at the end their times [s]."""
     with PageClient(address) as client:
         times: list[float] = []
         while True:
@@ -93,20 +96,20 @@ def count_pictures(address: str, talk: Connection) -> None:
 
 
 def cpu_of(pid: int | None) -> float:
-    """CPU time of a process so far [s]."""
+    """Return the processor time of a process so far [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def requests_of(talk: Connection) -> int:
-    """Pictures that the client has got so far."""
+    """Return the number of pictures that the client has received."""
     talk.send("how many")
     count: int = talk.recv()
     return count
 
 
 def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: int, stretch_s: float) -> Measured:
-    """Step a scene with the page and without, in turn."""
+    """Step a scene with the page and without it, alternately."""
     sent: list[object] = []
     live = ShownScene(SceneSource(scene, device, None, None), {}, Path("out") / "view", sent.append)
     on = live.sim.runtime.spec.device
@@ -162,8 +165,10 @@ def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: i
 
 
 class Live(NamedTuple):
-    """A view of a hand that another process sends. ages_s: of the pose of the hand when its picture is sent
-    ways_s: from there to the client; speed: simulated seconds per second; pictures_s: that the client got
+    """A view of a hand that another process sends.
+
+    ages_s: age of the hand's pose when its picture is sent; ways_s: time from there to the client; speed: simulated
+    seconds per second; pictures_s: pictures per second at the client
     """
 
     scene: str
@@ -176,7 +181,7 @@ class Live(NamedTuple):
 
 
 def measure_live(scene: Path, device: str | None, rate_Hz: float | None, seconds: float) -> Live:
-    """Step a scene in real time whose hand another process sends, with 90 samples a second of its script."""
+    """Step a scene in real time; another process sends its hand, with 90 samples a second of its script."""
     view = preview(scene, device="cpu")
     context = get_context("spawn")
     sent: list[tuple[float, float]] = []
@@ -234,7 +239,7 @@ def measure_live(scene: Path, device: str | None, rate_Hz: float | None, seconds
 
 
 def live_section(result: Live, command: str) -> str:
-    """A section of the page on a tracked hand."""
+    """Return a section of the page on a tracked hand."""
     age, late = 1e3 * np.median(result.ages_s), 1e3 * np.percentile(result.ages_s, 95)
     return "\n".join(
         [
@@ -249,7 +254,7 @@ def live_section(result: Live, command: str) -> str:
 
 
 def machine(device: str) -> str:
-    """What it ran on, in words."""
+    """Describe the machine in words."""
     cores = f"{len(os.sched_getaffinity(0))} cores of {platform.processor() or platform.machine()}"
     if device == "cpu":
         return cores
@@ -259,7 +264,7 @@ def machine(device: str) -> str:
 
 
 def table(result: Measured, command: str, page: Path) -> str:
-    """A section of the page; its stretches are kept in the folder data next to it."""
+    """Return a section of the page; its intervals are stored in the folder data next to it."""
     rows = [
         "| stretch | steps/s without | with | slower by | CPU us a step without | with | more by | pictures/s | "
         "page's share of a core | load of the machine |",
@@ -292,7 +297,7 @@ the CPU time of a step is more reliable than the number of steps per second.
 
 
 def write(result: Measured | Live, command: str, path: Path) -> None:
-    """Put a section into the page, in place of an earlier one of the same scene and kind of device."""
+    """Write a section into the page, in place of an earlier one of the same scene and kind of device."""
     new = live_section(result, command) if isinstance(result, Live) else table(result, command, path)
     heading = new.partition("\n")[0]
     old = path.read_text() if path.exists() else HEAD

@@ -1,4 +1,4 @@
-"""Are the skin solvers' error estimates true? Random cases, solvers' answers, whole scenes, and truths; writes a page.
+"""Test the error estimates of the skin solvers: random cases, answers, whole scenes and references.
 
     python scripts/verification/coverage.py begin --seed 1 --count 130
     python scripts/verification/coverage.py cases CASES.json [--left]
@@ -7,13 +7,14 @@
     python scripts/verification/coverage.py truths [--limit 45]
     python scripts/verification/coverage.py report [--out docs/bench/skin_coverage.md]
 
-`begin` writes the seed and the present commit, at which the code is frozen; `answers` and `truths` refuse other code.
-`answers` gives each case to `auto` and to the solvers by name that were drawn for it, `truths`, of boxes, layers and
-scenes of hands and meshes, to another solver than `auto` took, at a tenth of the accuracy (scenes: SCENE_FINER); cases
-without an answer wait for its next call. All three append small lines to files in docs/bench/coverage, each case's
-together, and go on where they ended, also in a later checkout: commit the folder. `cases --left` are those without a
-truth that counts yet, all but scenes for scikit-fem. Limits are of processor time. Set
-OMP_NUM_THREADS=1, MKL_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1 and PALMFIELD_CACHE=off.
+A "truth" is a more accurate reference solution. `begin` writes the seed and the present commit, at which the code is
+frozen; `answers` and `truths` refuse other code. `answers` solves each case with `auto` and with the named solvers that
+were drawn for it. `truths` solves boxes, layers and scenes of hands and meshes with a solver that `auto` did not
+choose, at a tenth of the accuracy (scenes: SCENE_FINER); cases without an answer wait for its next call. These commands
+append small lines to files in docs/bench/coverage, those of a case together, and continue from there, also in a later
+checkout: commit the folder. `cases --left` are the cases without a usable truth, except scenes, for scikit-fem.
+`report` writes the page. Limits are of processor time. Set OMP_NUM_THREADS=1, MKL_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1
+and PALMFIELD_CACHE=off.
 """
 
 import argparse
@@ -35,7 +36,7 @@ def rows_of(path: Path) -> list[dict[str, Any]]:
 
 
 def go_on(cases: list[Case], path: Path, work: Callable[[Case], list[dict[str, Any]]]) -> None:
-    """Append the rows of all cases that the file has none of; a case's rows are written together."""
+    """Append the rows of all cases that are missing in the file; the rows of a case are written together."""
     done = {row["key"] for row in rows_of(path)}
     left = [case for case in cases if case["key"] not in done]
     for number, case in enumerate(left, 1):
@@ -47,12 +48,12 @@ def go_on(cases: list[Case], path: Path, work: Callable[[Case], list[dict[str, A
 
 
 def drawn_cases(seed: int, count: int) -> list[Case]:
-    """All cases of a run, those of discs in scenes with their load."""
+    """Return all cases of a run; those of discs in scenes include their load."""
     return [with_load(case) if "scene" in case and case["by_scikit_fem"] else case for case in draw(seed, count)]
 
 
 def left(cases: list[Case], known: list[dict[str, Any]], given: list[dict[str, Any]]) -> list[Case]:
-    """Cases that scikit-fem can solve and of which the answer of `auto` has no truth that counts."""
+    """Return the cases that scikit-fem can solve and whose answer of `auto` has no usable truth."""
     found = verdicts({"cases": cases}, known, given)
     keys = {one.case for one in found if one.asked == "auto" and one.kind == "no truth"}
     able = [case for case in cases if case["key"] in keys and case["body"]["shape"] != "scene"]

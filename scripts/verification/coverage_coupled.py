@@ -1,12 +1,12 @@
-"""Is the error that `palmfield run` states of a coupled scene true? Ten kinds of scenes, each against a finer mesh.
+"""Test the error estimate of `palmfield run` for ten kinds of coupled scenes, each against a finer mesh.
 
     python scripts/verification/coverage_coupled.py begin --seed 1
     python scripts/verification/coverage_coupled.py run
 
 `begin` writes the seed and freezes the code, as coverage.py does; `run` appends a line for each scene and skips those
-that have one. A kind whose scene is refused before the run is drawn again. The reference is the same scene by solver
-wedges, with edges 2.5 or 3 times finer, half the substep and a fifth of the target accuracy. Both have the same cut
-edges, so the stated error is compared without their part. Set OMP_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1 and
+with a line. If a scene is refused before the run, another of its kind is drawn. The reference is the same scene by
+solver wedges, with edges 2.5 or 3 times finer, half the substep and a fifth of the target accuracy. Both have the same
+cut edges, so their part of the estimate does not count. Set OMP_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1 and
 PALMFIELD_CACHE=off.
 """
 
@@ -35,9 +35,9 @@ REFINED = {"small": (3.0, 1.8), "default": (2.5, 1.6)}
 """Ratios of the edges of a scene to those of its reference, and to those of the mesh that gives the reference's error,
 by the patch: a small one, or that of the scene."""
 DEFAULT = ("am", "am 40 Hz", "circle")
-"""Kinds with the patch of the scene and accuracy 0.05: enough unknowns for the estimate by coarser meshes."""
+"""Kinds with the patch of the scene and accuracy 0.05: they have enough unknowns for coarser meshes."""
 ORDER = 2.0
-"""Order of convergence that the error of the reference is estimated with, that of the elements."""
+"""Order of convergence for the error of the reference: that of the elements."""
 PARTS = ("mesh", "step", "reduction", "field")
 Readings = dict[str, Float]
 CHANNELS = {"displacement": "normal_displacement_m", "velocity": "normal_velocity_m_s"}
@@ -57,9 +57,9 @@ KINDS: dict[str, tuple[str, str, str]] = {
 
 
 def draw(seed: int, again: int = 0) -> list[dict[str, Any]]:
-    """One scene of each kind as plain data: keys, places of sensors about the site [m], duration [s].
+    """Return one scene per kind as plain data: keys, positions of sensors around the site [m], duration [s].
 
-    again: how many scenes of the kind were refused before.
+    again: number of refused scenes of the kind so far.
     """
     first = again * len(KINDS)
     return [_draw_one(np.random.default_rng([seed, first + number, 37]), kind) for number, kind in enumerate(KINDS)]
@@ -125,7 +125,7 @@ def _draw_one(random: np.random.Generator, kind: str) -> dict[str, Any]:
 
 
 def opened(case: dict[str, Any], keys: dict[str, Any]) -> palmfield.Simulation:
-    """The scene of a case with further keys, and a sensor at each of its places."""
+    """Return the scene of a case with further keys, and a sensor at each of its positions."""
     _, site, skin = KINDS[case["kind"]]
     spec = mujoco.MjSpec.from_file(str(SCENES / f"{case['scene']}.xml"))
     base, model = spec.site(site), spec.sensor(skin)
@@ -139,7 +139,7 @@ def opened(case: dict[str, Any], keys: dict[str, Any]) -> palmfield.Simulation:
 
 
 def measured(case: dict[str, Any], keys: dict[str, Any], estimate: Any) -> tuple[dict[str, Any], Readings, LayerSizes]:
-    """Numbers of a run, its readings by quantity, (places, steps), and the sizes of its layer."""
+    """Return numbers of a run, its readings by quantity, (places, steps), and the sizes of its layer."""
     begin = time.process_time()
     skin = KINDS[case["kind"]][2]
     sim = opened(case, keys)
@@ -162,10 +162,10 @@ def measured(case: dict[str, Any], keys: dict[str, Any], estimate: Any) -> tuple
 
 
 def judged(case: dict[str, Any]) -> dict[str, Any]:
-    """What a scene states of itself and its true errors, relative L2 over the second half of the run.
+    """Return the error estimates of a scene and its true errors, relative L2 over the second half of the run.
 
-    true_QUANTITY: at all places together, true_QUANTITY_first: at the first one, _whole: over the whole run. After a
-    step nothing moves in the second half: its velocity is that of the whole run.
+    true_QUANTITY: at all positions together, true_QUANTITY_first: at the first one, _whole: over the whole run. A step
+        load has no motion in the second half, so its velocity is that of the whole run.
     reference_QUANTITY: error of the reference, from the mesh between, by Richardson's rule.
     """
     row, found, sizes = measured(case, {}, "quick")
@@ -195,7 +195,7 @@ def _off(found: Float, exact: Float) -> float:
 
 
 def section(folder: Path, out: Path) -> list[str]:
-    """Lines of the page for the scenes of a folder; their rows go to the page's folder of data. None without a run."""
+    """Return lines of the page for the scenes of a folder, None without a run; their rows go to the page's data."""
     if not (folder / "rows.jsonl").exists():
         return []
     head = json.loads((folder / "head.json").read_text())
@@ -209,7 +209,7 @@ def section(folder: Path, out: Path) -> list[str]:
         table.append(f"| {row['kind']} | {row['scene']} | {row['solver'].split(',')[0]} | {numbers} |")
 
     def sure(row: dict[str, Any], quantity: str) -> bool:
-        """Whether the reference is accurate, or says in spite of its error on which side the stated error is."""
+        """Return whether the reference is accurate enough to tell if the estimate is too low or too high."""
         stated, true, off = row["stated"], row[f"true_{quantity}"], row[f"reference_{quantity}"]
         return off <= max(CONVERGED * max(stated, true), abs(stated - true))
 

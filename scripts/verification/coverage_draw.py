@@ -1,7 +1,7 @@
-"""Random skin problems as plain data, drawn from a seed: what every solver and the independent code are given.
+"""Draw random skin problems from a seed, as plain data for every solver and the independent code.
 
-A case is a dictionary of numbers and words alone, in SI units, so that a program that shares nothing with palmfield can
-read it; `problem_of` makes palmfield's own bodies and loads of it.
+A case is a dictionary of numbers and words only, in SI units, so that a program without palmfield can read it.
+`problem_of` makes palmfield's bodies and loads from it.
 """
 
 import math
@@ -18,27 +18,27 @@ from palmfield.skin.problem import Body, Layer, Slab, Spot
 from palmfield.types import Float, Patch
 
 FAMILIES = ("still", "moving", "rims", "sudden", "smooth", "depths", "contrast", "curved", "meshes", "scenes")
-"""Families of cases, taken in turn."""
+"""Families of cases, drawn in turn."""
 CYCLE = 24
-"""Times of the load in one of its periods."""
+"""Number of times per period of the load."""
 CONTRAST = 100.0
 ASKED_TIMES = 24
 ROUND = (0.02, 0.15)
-"""Range of the accuracies asked for of discs and endless bodies."""
+"""Range of the target accuracies of discs and infinite bodies."""
 OTHER = (0.04, 0.15)
-"""The same of boxes, layers and scenes, whose truths cost far more."""
+"""The same for boxes, layers and scenes, whose references cost far more."""
 CROSSINGS = (2.0, 6.0)
-"""Range of the times asked for, in those in which shear waves cross the spot or twice the depth, whichever is less."""
+"""Range of the output times, in times in which shear waves cross the spot or twice the depth, whichever is less."""
 LONGEST_S = 0.06
 BY_NAME = 2
-"""Solvers that a case is given to by name, beside `auto`."""
+"""Solvers that are also selected by name, in addition to `auto`."""
 
 Case = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What a solver is given: body, load, times (t,) [s], points (n, 3) [m], accuracy."""
+    """Input of a solver: body, load, times (t,) [s], points (n, 3) [m], accuracy."""
 
     body: Body
     load: Spot
@@ -48,15 +48,15 @@ class Problem:
 
 
 def draw(seed: int, count: int) -> list[Case]:
-    """Cases 0 to count - 1 of a seed; a case doesn't depend on how many others are drawn."""
+    """Return cases 0 to count - 1 of a seed; a case does not depend on the number of cases."""
     return [draw_case(seed, number) for number in range(count)]
 
 
 def draw_case(seed: int, number: int) -> Case:
-    """One case: of a solver, or of a whole scene (coverage_scenes).
+    """Return one case: of a solver, or of a whole scene (coverage_scenes).
 
-    Sizes go together, so that no body is many widths of its spot across and no time many of its crossings: what a case
-    costs hardly depends on whether its spot is 1 or 300 mm wide.
+    Sizes scale with the spot: the body is only a few spot widths wide, and the time only a few crossings of waves. The
+    cost of a case therefore hardly depends on whether its spot is 1 or 300 mm wide.
     """
     random = np.random.default_rng([seed, number])
     family, turn = FAMILIES[number % len(FAMILIES)], number // len(FAMILIES)
@@ -99,7 +99,7 @@ def draw_case(seed: int, number: int) -> Case:
 
 
 def shape_of(family: str, turn: int) -> str:
-    """Shape of the body in the turn-th case of a family."""
+    """Return the shape of the body in case `turn` of a family."""
     if family in ("curved", "meshes"):
         return "layer"
     if family == "moving" or (family == "rims" and turn % 2):
@@ -108,10 +108,10 @@ def shape_of(family: str, turn: int) -> str:
 
 
 def asked_of_scikit_fem(body: Case, turn: int) -> bool:
-    """Whether scikit-fem is asked for a truth: of all round cases, and of one in three of the others.
+    """Return whether scikit-fem computes a reference: for all round cases, and for one in three of the others.
 
-    Of the others, and of the first of each family, another solver of ours is asked. A bent base that slips is none that
-    scikit-fem's script knows.
+    Another solver of palmfield computes a reference for the others, and for the first case of each family. The script
+    of scikit-fem does not support a curved base that slips.
     """
     if body["shape"] in ("disc", "infinite"):
         return True
@@ -119,7 +119,7 @@ def asked_of_scikit_fem(body: Case, turn: int) -> bool:
 
 
 def crossing_s(sheets: list[Case], width: float, depth: float) -> float:
-    """Time in which shear waves cross the spot or go down and up, whichever is less."""
+    """Return the time in which shear waves cross the spot or go down and up, whichever is less."""
     down = 0.0
     for sheet in sheets:
         numbers = sheet["material"]
@@ -129,7 +129,7 @@ def crossing_s(sheets: list[Case], width: float, depth: float) -> float:
 
 
 def draw_solvers(random: np.random.Generator, body: Case, load: Case) -> list[str]:
-    """`auto`, and BY_NAME of the solvers that are for such a body and load, each as likely."""
+    """Return `auto` and the solvers of BY_NAME for such a body and load, each with the same probability."""
     moves = np.ptp(np.asarray(load["centre_m"]), axis=0).any()
     able = [] if body["shape"] == "infinite" else ["wedges", "spectral_elements", "particles"]
     if not moves and body["shape"] != "infinite":
@@ -144,7 +144,7 @@ def draw_solvers(random: np.random.Generator, body: Case, load: Case) -> list[st
 
 
 def between(random: np.random.Generator, low: float, high: float) -> float:
-    """A number, even in its logarithm."""
+    """Return a random number with a uniform logarithm."""
     return float(np.exp(random.uniform(np.log(low), np.log(high))))
 
 
@@ -186,7 +186,10 @@ def draw_sheets(random: np.random.Generator, depth: float, contrast: bool) -> li
 
 
 def draw_layer(random: np.random.Generator, width: float, depth: float, rough: bool) -> Case:
-    """A bent rectangle z = -(x^2 / R_x + y^2 / R_y) / 2 + a cos(k x) cos(k y); rough: triangles of any shape."""
+    """Return a curved rectangle z = -(x^2 / R_x + y^2 / R_y) / 2 + a cos(k x) cos(k y).
+
+    rough: whether triangles have any shape
+    """
     sizes = [width * between(random, 2.5, 4.0) for _ in range(2)]
     radii = [max(sizes) * between(random, 2.0, 6.0) for _ in range(2)]
     bump = [0.1 * depth * float(random.random()), 2.0 * math.pi / (2.0 * max(sizes))] if rough else [0.0, 0.0]
@@ -226,7 +229,7 @@ def draw_load(random: np.random.Generator, family: str, width: float, duration: 
 
 
 def draw_points(random: np.random.Generator, body: Case, load: Case) -> list[list[float]]:
-    """The load's middle place and up to two more within a width and a half of it, on the body; (n, 2)."""
+    """Return the middle of the load and up to two more points on the body within 1.5 spot widths of it; (n, 2)."""
     centres = np.asarray(load["centre_m"])
     points = [centres[len(centres) // 2] * (0.8 if len(centres) > 1 else 1.0)]
     room = 0.9 * body["radius_m"] if body["shape"] == "disc" else 0.45 * min(body.get("size_m", [np.inf]))
@@ -237,13 +240,13 @@ def draw_points(random: np.random.Generator, body: Case, load: Case) -> list[lis
 
 
 def height(body: Case, x: Float, y: Float) -> Float:
-    """Face of a layer over its plane [m]."""
+    """Return the height of a layer's face over its plane [m]."""
     (a, k), (rx, ry) = body["bump"], body["radii_m"]
     return np.asarray(-0.5 * (x**2 / rx + y**2 / ry) + a * np.cos(k * x) * np.cos(k * y))
 
 
 def slopes(body: Case, x: Float, y: Float) -> Float:
-    """Its slopes along x and y, (n, 2)."""
+    """Return the slopes of the face along x and y, (n, 2)."""
     (a, k), (rx, ry) = body["bump"], body["radii_m"]
     along = -x / rx - a * k * np.sin(k * x) * np.cos(k * y)
     across = -y / ry - a * k * np.cos(k * x) * np.sin(k * y)
@@ -251,13 +254,13 @@ def slopes(body: Case, x: Float, y: Float) -> Float:
 
 
 def twice_areas(plane: Float, faces: Any) -> Float:
-    """Twice the areas of triangles (m, 3) of places (n, 2), above 0 where they run counter-clockwise, (m,)."""
+    """Return twice the areas of triangles (m, 3) of points (n, 2), positive for counter-clockwise, (m,)."""
     (ax, ay), (bx, by) = ((plane[faces[:, i]] - plane[faces[:, 0]]).T for i in (1, 2))
     return np.asarray(ax * by - ay * bx)
 
 
 def patch_of(body: Case) -> Patch:
-    """Triangles of a layer's face: of a grid, or, with a seed, of places strewn about one, as on a user's mesh."""
+    """Return triangles of a layer's face: of a grid, or, with a seed, of scattered points as on a user's mesh."""
     half, edge = 0.5 * np.asarray(body["size_m"]), body["edge_m"]
     even = Sizes((0.0, 0.0), float(2.0 * half.max()), edge, edge, body["depth_m"], body["depth_m"], 0, 0.0, 0.0, 0.0)
     flat = box_patch(half, body["depth_m"], even)
@@ -279,7 +282,7 @@ def patch_of(body: Case) -> Patch:
 
 
 def problem_of(case: Case) -> Problem:
-    """Palmfield's own objects of a case."""
+    """Return the palmfield objects of a case."""
     body, load = case["body"], case["load"]
     sheets = []
     for number, sheet in enumerate(body["sheets"]):

@@ -1,4 +1,4 @@
-"""What each solver answers to a case, and converged answers of other solvers; each limited in time, nothing dropped."""
+"""Compute the answer of each solver to a case, and converged answers of other solvers, with time limits."""
 
 import signal
 import time
@@ -30,24 +30,24 @@ TRUTHS: dict[str, tuple[Name, ...]] = {
     "box": ("lateral_waves", "spectral_elements", "wedges"),
     "layer": ("spectral_elements", "wedges"),
 }
-"""Solvers that give truths, by shape of the body, the surest first."""
+"""Solvers for references, by shape of the body, the most reliable first."""
 SAME_MESH = {"reduced": "wedges"}
-"""Solvers that share their mesh and matrices with one that gives truths."""
+"""Solvers with the same mesh and matrices as a solver for references."""
 FINER = 0.1
-"""Accuracy of a truth in the case's own."""
+"""Accuracy of a reference relative to that of the case."""
 SCENE_FINER = 0.25
-"""The same of a scene."""
+"""The same for a scene."""
 LEAST_FINER = 1.1
-"""How many times as fine as the coarser of two meshes the finer is at least, where their difference tells an error."""
+"""Smallest ratio of two meshes whose difference is used to estimate an error."""
 
 
 class TooLongError(Exception):
-    """A run took longer than it may."""
+    """A run exceeded its time limit."""
 
 
 @contextmanager
 def at_most(seconds: float) -> Iterator[None]:
-    """Raises TooLongError in the body when it takes more processor time; main thread of a Unix process only."""
+    """Raise TooLongError in the body if it exceeds this processor time; main thread of a Unix process only."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         raise TooLongError(f"given up after {seconds:.0f} s")
@@ -62,7 +62,7 @@ def at_most(seconds: float) -> Iterator[None]:
 
 
 def truths(case: Case, auto: dict[str, Any], limit_s: float) -> list[dict[str, Any]]:
-    """The answer of another solver than `auto` took, at FINER of the accuracy; rows without one say why.
+    """Return answers of another solver than `auto` chose, at FINER of the accuracy; failed rows contain the reason.
 
     auto: row of `answers` of `auto`
     """
@@ -92,9 +92,9 @@ def truths(case: Case, auto: dict[str, Any], limit_s: float) -> list[dict[str, A
 
 
 def _scene_truth(case: Case, limit_s: float) -> dict[str, Any]:
-    """The scene by elements of its own mesh, finer; its error follows from a coarser mesh, as elements of order 2 show.
+    """Solve a scene by elements on its own finer mesh; its error follows from a coarser mesh by order 2.
 
-    Edges that are cut are the body's own: both have them.
+    Cut edges belong to the body, so both have them.
     """
     name = "spectral_elements"
 
@@ -112,20 +112,20 @@ def _scene_truth(case: Case, limit_s: float) -> dict[str, Any]:
 
 
 def nodes_of(found: dict[str, Any]) -> int:
-    """Number of nodes in the words of a solver of elements."""
+    """Return the number of nodes from the description by an element solver."""
     words = str(found["solver"]).replace(",", "").split()
     return int(words[words.index("nodes") - 1])
 
 
 def solver_of(row: dict[str, Any]) -> str:
-    """Name of the solver in the words of an answer."""
+    """Return the name of the solver from the description of an answer."""
     return str(row["solver"].replace(",", " ").replace(":", " ").split()[0])
 
 
 def answers(case: Case, limit_s: float, longest_s: float) -> list[dict[str, Any]]:
-    """A row for each solver: its answer and estimates, or why there is none, and whether that was known before.
+    """Return a row for each solver: answer and estimates, or why there is none, and if the plan said so.
 
-    limit_s: processor time of an answer; longest_s: predicted time of a solver by name that is still asked
+    limit_s: processor time of an answer; longest_s: largest predicted time of a solver by name
     """
     if "scene" in case:
         return [_limited(case, name, limit_s, lambda name=name: run_scene(case, name)) for name in case["solvers"]]
@@ -172,7 +172,7 @@ def _choices(problem: Problem) -> list[Any]:
 
 
 def relative_error(found: Any, known: Any) -> float:
-    """L2 over the times at a point, relative, the largest of the points that move: the estimates' own norm."""
+    """Return the relative L2 error over the times, the largest over the moving points: the norm of the estimates."""
     found, known = np.asarray(found, dtype=float), np.asarray(known, dtype=float)
     size = np.linalg.norm(known, axis=(0, 2))
     off = np.linalg.norm(found - known, axis=(0, 2))

@@ -1,4 +1,4 @@
-"""The page of a coverage run: counts with binomial bands, every case with what became of it, and error against cost."""
+"""Write the page of a coverage run: counts with binomial intervals, every case, and error against cost."""
 
 import math
 from collections import Counter, defaultdict
@@ -15,17 +15,18 @@ from scipy.stats import binomtest
 from palmfield.studies.bench.table import keep_rows
 
 CONVERGED = 0.25
-"""Error of a truth, as its own code states it, over that found in an answer, up to which the answer is judged by it."""
+"""Largest ratio of a reference's own error to the error of an answer for which the answer is judged."""
 AGREEING = 1.5
-"""Truths of two codes contradict one another where they differ by more than this times the sum of their errors."""
+"""Two references contradict each other if they differ by more than this factor times the sum of their errors."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of one solver's answer to one case.
+    """Result for one solver's answer to one case.
 
     kind: "judged", "refused" (before the run), "refused late", "no answer", "no truth"
-    estimate, true, truth_error: relative errors; by: whose truth; independent: whether that shares no code with ours
+    estimate, true, truth_error: relative errors; by: solver of the reference; independent: whether it shares no code
+    with palmfield
     """
 
     case: str
@@ -46,7 +47,7 @@ class Verdict:
 
 
 def verdicts(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: list[dict[str, Any]]) -> list[Verdict]:
-    """One for each answer that was asked for, of each case of which something was."""
+    """Return one verdict for each expected answer of each case with any answer."""
     known: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for row in truths:
         if "displacement_m" in row:
@@ -76,7 +77,7 @@ def _verdict(case: dict[str, Any], row: dict[str, Any], known: list[dict[str, An
 
 
 def band(hits: int, count: int) -> str:
-    """Share of hits with its 95 % interval (Clopper and Pearson)."""
+    """Return the share of hits with its 95 % interval (Clopper and Pearson)."""
     if count == 0:
         return "-"
     low, high = binomtest(hits, count).proportion_ci(0.95, method="exact")
@@ -84,7 +85,7 @@ def band(hits: int, count: int) -> str:
 
 
 def contradictions(drawn: dict[str, Any], truths: list[dict[str, Any]]) -> list[str]:
-    """Cases whose truths differ by more than they state together."""
+    """Return the cases whose references differ by more than the sum of their errors."""
     lines = []
     for case in drawn["cases"]:
         rows = [row for row in truths if row["key"] == case["key"] and "displacement_m" in row]
@@ -99,7 +100,7 @@ def contradictions(drawn: dict[str, Any], truths: list[dict[str, Any]]) -> list[
 
 
 def counts(rows: list[Verdict]) -> list[str]:
-    """Cells of a table, see HEAD."""
+    """Return the cells of a table, see HEAD."""
     judged = [row for row in rows if row.kind == "judged"]
     covered = sum(row.estimate >= row.true for row in judged)
     half = sum(row.estimate < 0.5 * row.true for row in judged)
@@ -123,7 +124,7 @@ def table(title: str, groups: dict[str, list[Verdict]]) -> list[str]:
 
 
 def draw_costs(rows: list[Verdict], path: Path) -> None:
-    """True error against seconds of every answer that could be judged, by solver."""
+    """Draw the true error over the time of every judged answer, by solver."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
@@ -141,9 +142,9 @@ def draw_costs(rows: list[Verdict], path: Path) -> None:
 
 
 def goals(rows: list[Verdict], peers: dict[str, int]) -> list[str]:
-    """Table of what the estimates are to reach, and what these verdicts of `auto` say of it.
+    """Return a table of the goals for the estimates, and the results of `auto` for each.
 
-    peers: truths by scikit-fem of each family
+    peers: references by scikit-fem of each family
     """
     judged = [row for row in rows if row.kind == "judged"]
     covered = sum(row.estimate >= row.true for row in judged)
@@ -177,9 +178,9 @@ def write_report(
     frozen: str | None = None,
     coupled: Sequence[str] = (),
 ) -> None:
-    """Write the page, and the picture beside it (the page's name, .png).
+    """Write the page, and the picture next to it (the name of the page, .png).
 
-    frozen: commit of the code that the seed was drawn after, where that is so; coupled: lines on coupled scenes
+    frozen: commit of the code before the seed was drawn, if it was frozen; coupled: lines on coupled scenes
     """
     rows = verdicts(drawn, truths, answers)
     auto = [row for row in rows if row.asked == "auto"]

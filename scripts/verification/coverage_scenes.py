@@ -1,8 +1,8 @@
-"""Whole scenes of a coverage run: a disc, a hand or a user's mesh over an array, and what `palmfield.run` says of it.
+"""Whole scenes of a coverage run: a disc, a hand or a user's mesh over an array, solved by `palmfield.run`.
 
-The focus rests over the middle of the disc, where the sensor is, so that of the load only its mean round the axis moves
-what the sensor reads: that is what an independent code is given. Of hands and meshes another solver gives the truth, in
-the same scene.
+The focus is fixed over the middle of the disc, at the sensor. Only the mean of the load around the axis then affects
+the sensor, so the independent code uses this mean. For hands and meshes, another solver computes the reference in the
+same scene.
 """
 
 import json
@@ -26,19 +26,19 @@ from palmfield.types import Float
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 PRESETS = ("ecoflex_00-10", "gelatin_2", "palm", "finger_pad")
 NAMED = ("reduced", "wedges", "spectral_elements")
-"""Solvers of which a scene is given to one by name, beside `auto`."""
+"""Solvers one of which also solves a scene by name, in addition to `auto`."""
 DURATION_S = 0.024
 STEP_S = 1e-3
-"""MuJoCo's step in these scenes: a sensor is read at the beginning of each."""
+"""MuJoCo's step in these scenes: a sensor is evaluated at the beginning of each step."""
 FINE_S = 2.5e-5
-"""Times between which the load's course counts as linear."""
+"""Time step within which the course of the load counts as linear."""
 ROUND = 32
-"""Places on a circle about the focus, over which pressures are averaged."""
+"""Number of places on a circle around the focus, over which pressures are averaged."""
 RADII = 160
 
 
 def draw_scene(random: np.random.Generator, accuracy: float) -> dict[str, Any]:
-    """A scene's file and keys, the solvers that it is given to, and its body in the words of the other cases."""
+    """Return the file and keys of a scene, its solvers, and its body in the form of the other cases."""
 
     def between(low: float, high: float) -> float:
         return float(np.exp(random.uniform(np.log(low), np.log(high))))
@@ -71,7 +71,7 @@ def draw_scene(random: np.random.Generator, accuracy: float) -> dict[str, Any]:
 
 
 def draw_body_scene(random: np.random.Generator, accuracy: float, kind: str) -> dict[str, Any]:
-    """A scene of a hand's palm or of a user's ellipsoid, as a file beside a scene made for it; as `draw_scene`."""
+    """Return a scene of a hand's palm or a user's ellipsoid with its file; result as of `draw_scene`."""
 
     def between(low: float, high: float) -> float:
         return float(np.exp(random.uniform(np.log(low), np.log(high))))
@@ -98,7 +98,7 @@ def draw_body_scene(random: np.random.Generator, accuracy: float, kind: str) -> 
 
 
 def opened(case: dict[str, Any], keys: dict[str, Any], folder: Path) -> palmfield.Simulation:
-    """The scene of a case with keys; folder: where that of a user's mesh is written."""
+    """Return the scene of a case with keys. folder: folder for the scene with a user's mesh."""
     if "half_m" not in case:
         return palmfield.load(SCENES / f"{case['scene']}.xml", keys=keys)
     solid = trimesh.creation.icosphere(4, 1.0)
@@ -117,7 +117,7 @@ def opened(case: dict[str, Any], keys: dict[str, Any], folder: Path) -> palmfiel
 
 
 def numbers_of(name: str) -> dict[str, Any]:
-    """A preset as plain data."""
+    """Return a preset as plain data."""
     material = preset(name)
     return {
         "density_kg_m3": material.density_kg_m3, "shear_relaxed_Pa": material.shear_relaxed_Pa,
@@ -127,7 +127,7 @@ def numbers_of(name: str) -> dict[str, Any]:
 
 
 def with_load(case: dict[str, Any]) -> dict[str, Any]:
-    """A case of a scene with its load: pressure [Pa] by distance from the axis [m], and its factor over time."""
+    """Return a case of a scene with its load: pressure [Pa] by distance from the axis [m], and its factor over time."""
     simulation = palmfield.load(SCENES / f"{case['scene']}.xml", keys=case["keys"])
     runtime = simulation.runtime
     model, posed = runtime.model, runtime.work.reference
@@ -154,9 +154,10 @@ def with_load(case: dict[str, Any]) -> dict[str, Any]:
 
 
 def run_scene(case: dict[str, Any], solver: str, accuracy: float | None = None) -> dict[str, Any]:
-    """What the sensor in the middle read, as the only component of a displacement, and the budget's numerical line.
+    """Return the readings of the central sensor as a displacement with one component, and the numerical budget.
 
-    accuracy: in place of the case's own. Of hands and meshes that line is without cut edges: truths have the same ones
+    accuracy: replaces that of the case. For hands and meshes the budget omits cut edges, because references have the
+    same ones
     """
     keys = case["keys"] | ({} if solver == "auto" else {"skin.solver": solver})
     keys |= {} if accuracy is None else {"skin.accuracy": accuracy}

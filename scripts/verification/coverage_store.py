@@ -1,7 +1,7 @@
-"""A coverage run kept in the repository: a head with seed and frozen commit, and one small line for each answer.
+"""Store a coverage run in the repository: a head with seed and frozen commit, and a line per answer.
 
-What is kept is what the page is made of: displacements in SI units rounded to DIGITS digits. Cases are drawn again from
-the seed. Whoever checks out the frozen commit, or a later one whose CODE is the same, goes on where the run ended.
+The lines contain the data of the page: displacements in SI units rounded to DIGITS digits. Cases are drawn again from
+the seed. A run can continue in a checkout of the frozen commit, or of a later one with the same CODE.
 """
 
 import json
@@ -12,23 +12,23 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "bench" / "coverage"
 DRAWN = ("scripts/verification/coverage_draw.py",)
-"""What a run's cases follow from, relative to the repository."""
+"""Files that determine the cases of a run, relative to the repository."""
 CODE = (
     "palmfield", "warp_kernels", "mjcf", "scripts/verification/coverage_judge.py",
     "scripts/verification/coverage_scenes.py", "scripts/verification/small_scene.py", *DRAWN,
 )  # fmt: skip
-"""What answers and our own truths follow from; the code of scikit-fem's may grow more exact later."""
+"""Files that determine answers and palmfield's references; the code with scikit-fem may become more exact later."""
 DIGITS = 6
 UNUSED = ("velocity_m_s",)
-"""Parts of a row that no page is made of."""
+"""Parts of a row that no page uses."""
 
 
 class ChangedCodeError(Exception):
-    """A run that was begun with other code."""
+    """The code differs from that at the start of the run."""
 
 
 def rounded(value: Any) -> Any:
-    """Plain data with all its numbers rounded to DIGITS digits."""
+    """Return plain data with all numbers rounded to DIGITS digits."""
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}")
     if isinstance(value, dict):
@@ -37,7 +37,7 @@ def rounded(value: Any) -> Any:
 
 
 def line(row: dict[str, Any]) -> str:
-    """One row of answers or truths as a line of JSON, without UNUSED."""
+    """Return one row of answers or references as a line of JSON, without UNUSED."""
     kept = {key: value for key, value in row.items() if key not in UNUSED}
     return json.dumps(rounded(kept), separators=(",", ":")) + "\n"
 
@@ -45,7 +45,7 @@ def line(row: dict[str, Any]) -> str:
 def begin(folder: Path, seed: int, count: int, root: Path = ROOT) -> dict[str, Any]:
     """Write the head of a new run; the code is frozen at the present commit.
 
-    Raises ChangedCodeError where a run is there already, or the working tree's code is not that of the commit.
+    Raises ChangedCodeError if a run exists already, or if the working tree differs from the commit.
     """
     head = folder / "head.json"
     if head.exists():
@@ -61,7 +61,7 @@ def begin(folder: Path, seed: int, count: int, root: Path = ROOT) -> dict[str, A
 
 
 def known_head(folder: Path, root: Path = ROOT, code: tuple[str, ...] = CODE) -> dict[str, Any]:
-    """The head of the run in a folder. Raises ChangedCodeError where there is none, or that code is another."""
+    """Return the head of the run in a folder. Raises ChangedCodeError if there is none, or if the code differs."""
     head = folder / "head.json"
     if not head.exists():
         raise ChangedCodeError(f"no run in {folder}: begin one with step 'begin'")
@@ -71,7 +71,7 @@ def known_head(folder: Path, root: Path = ROOT, code: tuple[str, ...] = CODE) ->
 
 
 def check_code(frozen: str, root: Path = ROOT, code: tuple[str, ...] = CODE) -> None:
-    """Raise ChangedCodeError where the code in the working tree differs from that at a commit."""
+    """Raise ChangedCodeError if the code in the working tree differs from that at a commit."""
     changed = _git(root, "diff", "--name-only", frozen, "--", *code).split()
     changed += _git(root, "ls-files", "--others", "--exclude-standard", "--", *code).split()
     if changed:

@@ -1,12 +1,12 @@
-"""Is the estimated error of the velocity true? Random cases of ten kinds, answers of `auto`, and other solvers' truths.
+"""Test the error estimate of the velocity: random cases of ten kinds, answers of `auto`, and references.
 
     python scripts/verification/coverage_velocity.py run --seed 1 --count 60 [--limit 60] [--traction]
     python scripts/verification/coverage_velocity.py report [--out docs/bench/skin_velocity.md]
 
-`run` draws the cases, gives each to `auto` and asks another solver for the velocity at a tenth of the accuracy, on one
-core and within the limit of processor time for each. With --traction the load is a Traction at points of the face. It
-appends a line per case to docs/bench/coverage/velocity.jsonl and goes on where it ended; a case's line names the commit
-that answered it. Set OMP_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1 and PALMFIELD_CACHE=off.
+`run` draws the cases and solves each with `auto`, and with another solver at a tenth of the accuracy, on one core and
+with a limit of processor time for each. With --traction the load is a Traction at points of the face. It appends a line
+per case to docs/bench/coverage/velocity.jsonl and continues from there; each line names its commit. Set
+OMP_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1 and PALMFIELD_CACHE=off.
 """
 
 import argparse
@@ -34,20 +34,23 @@ KINDS = (
     "viscous", "short branch", "soft on hard", "hard on soft", "on and off", "pulses", "swinging", "sudden", "moving",
     "layer",
 )  # fmt: skip
-"""Kinds of cases, taken in turn."""
+"""Kinds of cases, drawn in turn."""
 FINER, SHARE, LEAST_TRUTH = 0.1, 0.15, 3e-4
-"""Accuracy of a truth: a share of the case's own, and of the error that the answer states; it is no finer than that."""
+"""Accuracy of a reference: shares of that of the case and of the error estimate, and the least value."""
 ASKED_TIMES = 40
 FIRST_TRACTION = 1000
-"""Number of the first case whose load is a Traction."""
+"""Number of the first case with a Traction as load."""
 SPOT_TRUTHS: tuple[Name, ...] = ("lateral_waves", "axisymmetric")
 SPACING, KNOTS, SAMPLED = 0.05, 13, 0.0025
-"""Distance of the points of a Traction on a slab, in widths of the spot; its times while a spot moves; the change by
-linear interpolation between the points, which widens a spot at rest: h^2 / 6 over its variance."""
+"""Sampling of a Traction.
+
+Distance of the points on a slab, in widths of the spot; number of times for a moving spot; change by linear
+interpolation between the points, which widens a fixed spot: h^2 / 6 over its variance.
+"""
 
 
 def draw_case(seed: int, number: int) -> Case:
-    """A velocity case as plain data in SI units, as coverage_draw's."""
+    """Return a velocity case as plain data in SI units, as those of coverage_draw."""
     random = np.random.default_rng([seed, number, 29])
     kind = KINDS[number % len(KINDS)]
     width = between(random, 5e-3, 20e-3)
@@ -119,7 +122,7 @@ def draw_case(seed: int, number: int) -> Case:
 
 
 def as_traction(problem: Problem) -> Traction:
-    """The spot of a case as pressures at points of the face: on a grid of squares, or on a layer's own triangles."""
+    """Return the spot of a case as pressures at points: a square grid, or the triangles of a layer."""
     body, load = problem.body, problem.load
     if isinstance(body, Layer):
         points, areas = face_points(body.patch, 2)
@@ -139,9 +142,9 @@ def as_traction(problem: Problem) -> Traction:
 
 
 def judged(case: Case, limit_s: float, traction: bool = False) -> dict[str, Any]:
-    """One line: what `auto` states of the velocity, and its error against the surest truth found.
+    """Return one line: velocity error estimate of `auto`, and its error relative to the best reference.
 
-    displacement_estimate, _true, _truth_error: the same numbers of the displacement, by the same truth.
+    displacement_estimate, _true, _truth_error: the same numbers of the displacement, by the same reference.
     """
     problem, row = problem_of(case), {"key": case["key"], "kind": case["kind"], "accuracy_of": case["accuracy_of"]}
     row |= {"accuracy": case["accuracy"], "load": "traction" if traction else "spot"}
@@ -189,12 +192,12 @@ def counted(row: dict[str, Any]) -> bool:
 
 
 def _own(row: dict[str, Any]) -> bool:
-    """Whether the truth is by the solver that answered."""
+    """Return whether the reference is by the solver that answered."""
     return bool(row["by"] == solver_of(row))
 
 
 def of_displacement(row: dict[str, Any]) -> dict[str, Any]:
-    """A line with the numbers of the displacement in place of those of the velocity."""
+    """Return a line with the numbers of the displacement in place of those of the velocity."""
     names = [name for name in ("estimate", "true", "truth_error") if f"displacement_{name}" in row]
     return row | {name: row[f"displacement_{name}"] for name in names}
 

@@ -1,4 +1,4 @@
-"""A picture of a USD file from the file alone: what a viewer sees through its camera, with the prims' own colours.
+"""Draw a picture of a USD file from the file alone, through its camera and with the colours of the prims.
 
     .venv/bin/python scripts/verification/draw_usd.py out/palm/scene.usdc palm.png --code 250
 
@@ -21,7 +21,10 @@ NEAR_M = 1e-3
 
 
 class Piece(NamedTuple):
-    """corners: of triangles or lines in the world [m], shape (n, 3 or 2, 3); colours: linear, (n, 3)"""
+    """Parts of a scene.
+
+    corners: of triangles or lines in the world [m], shape (n, 3 or 2, 3); colours: linear, (n, 3)
+    """
 
     corners: np.ndarray
     colours: np.ndarray
@@ -29,7 +32,7 @@ class Piece(NamedTuple):
 
 
 def pieces_of(stage: Usd.Stage, code: float, purposes: tuple[str, ...] = ("default", "render")) -> list[Piece]:
-    """All that is seen at a time code."""
+    """Return all visible parts at a time code."""
     skinned = skinned_points(stage, code)
     found: list[Piece] = []
     walk = iter(Usd.PrimRange(stage.GetPseudoRoot()))
@@ -65,7 +68,7 @@ def pieces_of(stage: Usd.Stage, code: float, purposes: tuple[str, ...] = ("defau
 
 
 def skinned_points(stage: Usd.Stage, code: float) -> dict[str, np.ndarray]:
-    """Points of meshes that a skeleton moves, in their own frames."""
+    """Return the points of meshes that a skeleton moves, in their own frames."""
     found = {}
     cache = UsdSkel.Cache()
     for prim in stage.Traverse():
@@ -147,7 +150,7 @@ def _moved(corners: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def draw(stage: Usd.Stage, code: float, path: Path, title: str = "", seen: list[Piece] | None = None) -> None:
-    """PNG of a stage at a time code, through its camera."""
+    """Write a PNG of a stage at a time code, through its camera."""
     camera = UsdGeom.Camera(stage.GetPrimAtPath("/Scene/Cameras/Main")).GetCamera(code)
     to_clip = np.array(camera.frustum.ComputeViewMatrix() * camera.frustum.ComputeProjectionMatrix())
     to_eye = np.array(camera.frustum.ComputeViewMatrix())

@@ -1,4 +1,4 @@
-"""Faults of a line, a host and its processes, on a virtual SonicSurface: what the player makes of them.
+"""Faults of a line, a host and its processes, on a virtual SonicSurface, and the reaction of the player.
 
 check_faults.py makes a table of them; the tests assert it.
 """
@@ -34,9 +34,11 @@ START, SWAP = 254, 253
 
 @dataclass
 class Outcome:
-    """off: whether the board was silent at the end; torn: frames that were played with too few bytes or too many
-    message: for the caller; report: of the player, where it ended well
-    emitted_s, late_s: of numbered frames, when they sounded on the board's clock and how late [s]
+    """Result of a fault.
+
+    off: whether the board was silent at the end; torn: number of played frames with too few or too many bytes
+    message: message for the caller; report: report of the player, if it ended without error
+    emitted_s, late_s: times of numbered frames on the clock of the board and their delays [s]
     """
 
     off: bool
@@ -48,7 +50,7 @@ class Outcome:
     numbers: dict[str, float] = field(default_factory=dict)
 
     def late_between(self, start_s: float, end_s: float) -> float:
-        """Largest delay of frames that were emitted then, on the board's clock [s]."""
+        """Return the largest delay of the frames emitted in an interval, on the clock of the board [s]."""
         return max(late for at, late in zip(self.emitted_s, self.late_s, strict=True) if start_s <= at < end_s)
 
 
@@ -57,7 +59,7 @@ def turned(step: int) -> np.ndarray:
 
 
 def numbered(number: int) -> bytes:
-    """A frame that tells its number, below 1024."""
+    """Return a frame that contains its number, below 1024."""
     drive = turned(number % 32)
     drive[-1] = turned(number // 32)[-1]
     return BOARD.encode(drive)
@@ -73,7 +75,7 @@ def frames(seconds: float, rate_Hz: float = RATE_HZ) -> list[tuple[float, bytes]
 
 
 def torn_frames(received: bytes) -> int:
-    """Swaps of buffers behind another number of bytes than a frame's: half a frame, or a resumed one."""
+    """Count swaps of buffers after another number of bytes than that of a frame: half or resumed frames."""
     count = 0
     data = -1
     for byte in received:
@@ -88,7 +90,7 @@ def torn_frames(received: bytes) -> int:
 
 
 def outcome(board: VirtualBoard, rate_Hz: float = RATE_HZ, **more: Any) -> Outcome:
-    """What came of it, once the line is quiet."""
+    """Return the result of a run, once the line is quiet."""
     board.settle(0.2)
     emitted = [(change.time_s, number_of(change.amplitudes)) for change in board.emitted if change.amplitudes.all()]
     emitted = emitted[1 if emitted and emitted[0][1] == 0 and len(emitted) > 1 and emitted[1][1] == 0 else 0 :]
@@ -102,7 +104,7 @@ def outcome(board: VirtualBoard, rate_Hz: float = RATE_HZ, **more: Any) -> Outco
 
 @contextmanager
 def at(moments: list[tuple[float, Callable[[], None]]]) -> Iterator[None]:
-    """Do things so many seconds from now, on another thread."""
+    """Call functions after some seconds, on another thread."""
     timers = [threading.Timer(when, what) for when, what in moments]
     for timer in timers:
         timer.start()
@@ -112,7 +114,7 @@ def at(moments: list[tuple[float, Callable[[], None]]]) -> Iterator[None]:
 
 
 def play(board: VirtualBoard, seconds: float, rate_Hz: float = RATE_HZ, **settings: Any) -> dict[str, Any]:
-    """Play in this process's player; its message and report."""
+    """Play with the player of this process; return its message and report."""
     try:
         with Player(BOARD, board.port, **settings) as player:
             return {"report": player.play(frames(seconds, rate_Hz))}
@@ -124,7 +126,7 @@ def play(board: VirtualBoard, seconds: float, rate_Hz: float = RATE_HZ, **settin
 
 
 def stall(length_s: float, seconds: float) -> Outcome:
-    """The line takes nothing from 1 s on; `stood_s` is for how long the machine itself stood still after that."""
+    """Stop the line from 1 s on; `stood_s` is the pause of the machine itself after that."""
     with VirtualBoard(BOARD, realtime=True) as board:
         Player(BOARD, board.port).close()  # so that what is loaded once is
         goes_on: list[float] = []
@@ -143,7 +145,7 @@ def stall(length_s: float, seconds: float) -> Outcome:
 
 
 def full_buffer() -> Outcome:
-    """The line takes nothing for 1.5 s, and nobody says so: the system's buffer fills up."""
+    """Stop the line for 1.5 s without an error: the buffer of the system fills up."""
     with VirtualBoard(BOARD, tells=False, realtime=True) as board:
         with at([(1.0, board.stall), (2.5, lambda: board.stall(False))]):
             done = play(board, 2.5)
@@ -151,7 +153,7 @@ def full_buffer() -> Outcome:
 
 
 def half_frame_lost() -> Outcome:
-    """A hundred bytes never arrive."""
+    """Lose a hundred bytes of a frame."""
     with VirtualBoard(BOARD, realtime=True) as board:
         with at([(0.9, lambda: board.lose(100))]):
             done = play(board, 1.2)
@@ -164,7 +166,7 @@ def half_frame_lost() -> Outcome:
 
 
 def unplugged(back_after_s: float | None) -> Outcome:
-    """The port is taken away, and comes back under its name or never."""
+    """Remove the port; it returns under its name, or never."""
     with (
         tempfile.TemporaryDirectory() as folder,
         VirtualBoard(BOARD, link=Path(folder) / "port", realtime=True) as board,
@@ -197,12 +199,12 @@ IN_C = """
     matrix = numpy.random.default_rng(0).random((3000, 3000))
     numpy.linalg.svd(matrix)
 """
-"""Handlers of signals wait until that is done, some ten seconds."""
+"""Python handlers of signals wait until this computation in C ends, about ten seconds."""
 
 
 @contextmanager
 def caller(board: VirtualBoard, work: str = BUSY) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """A program of its own that plays for 10 s, and its player's number; it sounds when this begins."""
+    """Start a program that plays for 10 s, and return its player's process number when it sounds."""
     here = str(Path(__file__).parent)
     program = CALLER.format(here=here, port=board.port, work=work)
 
@@ -230,7 +232,7 @@ def caller(board: VirtualBoard, work: str = BUSY) -> Iterator[tuple[subprocess.P
 
 
 def silent_after(board: VirtualBoard, within_s: float = 5.0) -> float:
-    """Time until nothing sounds [s], inf where something does all the time."""
+    """Return the time until silence [s], inf if sound never stops."""
     began = time.monotonic()
     while time.monotonic() - began < within_s:
         if not board.twin.emitted.any():
@@ -240,7 +242,7 @@ def silent_after(board: VirtualBoard, within_s: float = 5.0) -> float:
 
 
 def caller_gets(number: int, work: str = BUSY) -> Outcome:
-    """A signal goes to the caller alone."""
+    """Send a signal to the caller alone."""
     with VirtualBoard(BOARD, realtime=True) as board:
         board.emitted.clear()
         with caller(board, work) as (process, _):
@@ -253,7 +255,7 @@ def caller_gets(number: int, work: str = BUSY) -> Outcome:
 
 
 def caller_pauses(number: int) -> Outcome:
-    """The caller is stopped and goes on: silent in between, and sounding again."""
+    """Stop and continue the caller: silent in between, then sounding again."""
     with VirtualBoard(BOARD, realtime=True) as board:
         with caller(board) as (process, _):
             process.send_signal(number)
@@ -271,7 +273,7 @@ def caller_pauses(number: int) -> Outcome:
 
 
 def player_killed() -> Outcome:
-    """kill -9 of the player."""
+    """Kill the player (kill -9)."""
     with VirtualBoard(BOARD, realtime=True) as board:
         message = ""
         try:
@@ -286,7 +288,7 @@ def player_killed() -> Outcome:
 
 @contextmanager
 def busy_host() -> Iterator[None]:
-    """Two processes of normal priority for each core that do nothing but compute."""
+    """Run two computing processes of normal priority per core."""
     count = 2 * (os.cpu_count() or 1)
     busy = [subprocess.Popen([sys.executable, "-c", "while True: sum(range(10**6))"]) for _ in range(count)]
     try:
@@ -299,7 +301,7 @@ def busy_host() -> Iterator[None]:
 
 
 def host_at_100(seconds: float = 2.0, realtime: bool = True) -> Outcome:
-    """All cores are busy with twice as many processes of normal priority; the board is a process of its own."""
+    """Load all cores with twice as many processes of normal priority; the board is its own process."""
     with board_process() as (port, ended), busy_host(), machine_pauses() as pauses:
         with Player(BOARD, port, realtime=realtime) as player:
             report = player.play(frames(seconds))
@@ -325,10 +327,11 @@ print(json.dumps(pauses))
 
 @contextmanager
 def machine_pauses() -> Iterator[Callable[[], list[tuple[float, float]]]]:
-    """How late the machine itself wakes processes of the highest priority that want 1000 turns a second.
+    """Measure the delays with which the machine wakes processes of highest priority at 1000 wake-ups per second.
 
-    One on each core: of the core that stood longest, when a turn was due on `time.monotonic` and how late it came [s].
-    A virtual machine stands still while its host does something else. Empty where no priority is permitted.
+    There is one process on each core. The result is for the core with the longest pause: the due time of each wake-up
+    on `time.monotonic`, and its delay [s]. A virtual machine pauses while its host does other work. Empty if no
+    priority is permitted.
     """
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
     processes = [
@@ -352,7 +355,7 @@ def machine_pauses() -> Iterator[Callable[[], list[tuple[float, float]]]]:
 
 
 def stood_s(pauses: list[tuple[float, float]], start_s: float = -math.inf, end_s: float = math.inf) -> float:
-    """For how long a core stood still between two moments on `time.monotonic`, in pauses of over 1 ms [s]."""
+    """Return the total pause of a core between two times on `time.monotonic`, from pauses over 1 ms [s]."""
     return sum(late for due, late in pauses if late > 1e-3 and due + late > start_s and due < end_s)
 
 
@@ -374,7 +377,7 @@ with faults.VirtualBoard(faults.BOARD) as board:
 
 @contextmanager
 def board_process() -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
-    """A virtual board in a process of its own, with priority where that is permitted: its port, and what came of it."""
+    """Run a virtual board in its own process, with priority if permitted; return its port and its result."""
     program = REAL_BOARD.format(here=str(Path(__file__).parent))
     process = subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Fit the filters of afferents to published thresholds, and compare model and print: docs/bench/afferents.png.
+"""Fit the filters of afferents to published thresholds, and compare both: docs/bench/afferents.png.
 
     python scripts/verification/fit_afferents.py [--picture docs/bench/afferents.png]
 
-It prints the constants of `palmfield.perception.afferents.AFFERENTS`, fitted anew; thresholds of the model and their
-difference from the table; levels of the populations at the thresholds of people under a contactor of 2.9 cm2; and the
-range of amplitudes with one spike a cycle.
+It fits the constants of `palmfield.perception.afferents.AFFERENTS` again and prints them; thresholds of the model and
+their difference from the table; levels of the populations at the thresholds of people under a contactor of 2.9 cm2; and
+the range of amplitudes with one spike per cycle.
 """
 
 import argparse
@@ -34,7 +34,7 @@ BEGIN = {
     "ra1": (1.0, 30.0, 10.0, 3e-3),
     "pc": (30.0, 100.0, 250.0, 0.5, 1e-3),
 }
-"""Constants from which the fit begins: gain per um, corner frequencies [Hz], damping of PC, time constant [s]."""
+"""Initial constants of the fit: gain per um, corner frequencies [Hz], damping of PC, time constant [s]."""
 
 
 def response(name: str, f_Hz: Float, constants: Float) -> tuple[Complex, float]:
@@ -60,7 +60,7 @@ def peak_of_integrator(f_Hz: float, tau_s: float, samples: int = 2000) -> float:
 
 
 def fitted(name: str) -> Float:
-    """Return constants with the least squares of the differences in dB, the best of 20 beginnings."""
+    """Return constants with the least squares of the differences in dB, the best of 20 initial points."""
     f_Hz, peak_m = (np.array(one) for one in AFFERENTS[name].tuning)
 
     def differences_dB(logarithms: Float) -> Float:
@@ -83,7 +83,7 @@ def model_threshold_m(afferent: Afferent, f_Hz: float) -> float:
 
 
 def plateau_dB(afferent: Afferent, f_Hz: float) -> tuple[int, int] | None:
-    """Return the levels above threshold from and to which each cycle has one spike [dB]."""
+    """Return the range of levels above threshold with one spike per cycle [dB]."""
     course, threshold = sine(f_Hz, 40.0 / f_Hz), 1.02 * model_threshold_m(afferent, f_Hz)
     found = []
     for above in range(31):

@@ -1,10 +1,9 @@
-"""Meshes of hands as other people's programs write them, all of our own making, and the report card of each.
+"""Make hand meshes like those of other programs, all our own work, and the report card of each.
 
 python scripts/verification/foreign_hands.py FOLDER
 
-writes the ten hands of HANDS and the three things of NO_HANDS to a folder, with a card (.txt) and a picture beside
-each, and ends with 1 where a verdict is another one than it should be. docs/report_cards.md and tests/hand take them
-from here.
+It writes the ten hands of HANDS and the three objects of NO_HANDS to a folder, each with a card (.txt) and a picture.
+The exit code is 1 if a verdict is not the expected one. docs/report_cards.md and tests/hand use these meshes.
 """
 
 import argparse
@@ -35,9 +34,10 @@ Z_UP = Rotation.from_euler("x", 90.0, degrees=True)
 
 
 class Foreign(NamedTuple):
-    """A mesh that imitates a habit.
+    """A mesh that imitates a property of other programs.
 
-    file: its name; habit: in words; verdict: of its card, "not examined" where it is refused before; make: writes it
+    file: its name; habit: the property in words; verdict: expected verdict of its card, "not examined" for a mesh that
+        is refused earlier; make: function that writes it
     """
 
     file: str
@@ -47,7 +47,7 @@ class Foreign(NamedTuple):
 
 
 def plain_preset() -> HandPreset:
-    """A hand whose thumb leaves late and lies near the index finger, as of many models made by eye."""
+    """Return a hand whose thumb begins late and is near the index finger, as in many hand-made models."""
     preset = load_preset("open_women_p50")
     thumb = preset.digits["thumb"]
     near = thumb.model_copy(update={"base_y_m": thumb.base_y_m + 0.015, "spread_deg": -30.0, "palmar_deg": 15.0})
@@ -60,13 +60,13 @@ def skinned() -> SkinnedHand:
 
 
 def plain_hand() -> tuple[Float, Int]:
-    """Right hand [m] with fingers along y, its palm looking along -z."""
+    """Return a right hand [m] with fingers along y and its palm facing -z."""
     surface = skinned().surface
     return surface.vertices, surface.faces
 
 
 def crossed_hand() -> tuple[Float, Int]:
-    """Bent fingers of which middle and ring finger go through each other."""
+    """Return a hand with bent fingers in which middle and ring finger intersect."""
     hand = SkinnedHand(load_preset("open_men_p50"), 0.004)
     bent = {"mcp_flexion": 20.0, "pip_flexion": 30.0, "dip_flexion": 20.0}
     angles = {f"{digit}_{joint}": angle for digit in DIGITS[1:] for joint, angle in bent.items()}
@@ -76,14 +76,14 @@ def crossed_hand() -> tuple[Float, Int]:
 
 
 def cut_by_quads(vertices: Float, faces: Int, teeth: int = 6, height_m: float = 0.014) -> Int:
-    """Faces beyond a line around the wrist that goes up and down."""
+    """Return the faces beyond a zigzag line around the wrist."""
     middle = vertices[faces].mean(axis=1)
     around = np.arctan2(middle[:, 2] - 0.015, middle[:, 0])
     return faces[middle[:, 1] > vertices[:, 1].min() + 0.03 + 0.5 * height_m * np.sign(np.sin(teeth * around))]
 
 
 def as_quads(vertices: Float, faces: Int) -> list[list[int]]:
-    """Polygons of four corners where two triangles make a good one, and the triangles that are left."""
+    """Return polygons of four corners where two triangles form a good one, and the remaining triangles."""
     edges = {tuple(e): [] for e in unique_edges(faces)[0].tolist()}
     for number, face in enumerate(faces.tolist()):
         for i in range(3):
@@ -114,7 +114,7 @@ def write(path: Path, vertices: Float, faces: Int) -> None:
 def write_rig(
     path: Path, vertices: Float, faces: Int, weights: Float, names: list[str], places: Float, parents: list[int]
 ) -> None:
-    """glTF with a skin: joints parallel to the scene's axes at `places`, each under its parent, -1 under the scene."""
+    """Write a glTF with a skin: joints parallel to the scene's axes at `places`, each below its parent (-1: scene)."""
     blob, views, accessors = b"", [], []
 
     def add(values: Float | Int, dtype: str, kind: str, component: int) -> int:
@@ -161,7 +161,7 @@ def write_rig(
 
 
 def webxr_joints() -> tuple[list[str], Float, Float, list[int]]:
-    """The 25 joints of WebXR: names, places [m], weights of the plain hand's skin, and the parents they should have."""
+    """Return the 25 joints of WebXR: names, positions [m], skin weights on the plain hand, and expected parents."""
     hand = skinned()
     bones = [bone.name for bone in hand.bones]
     origins, marks = np.array([bone.origin for bone in hand.bones]), hand.hand.skeleton.landmarks
@@ -202,13 +202,13 @@ def webxr_name(_: int, name: str) -> str:
 
 
 def openxr_name(_: int, name: str) -> str:
-    """WebXR's name in OpenXR's words: XR_HAND_JOINT_INDEX_PROXIMAL_EXT."""
+    """Return the OpenXR name of a WebXR joint: XR_HAND_JOINT_INDEX_PROXIMAL_EXT."""
     words = name.replace("-finger", "").replace("phalanx-", "").replace("pinky", "little")
     return f"XR_HAND_JOINT_{words.upper().replace('-', '_')}_EXT"
 
 
 def mirrored_rig(path: Path) -> None:
-    """A left hand made of a right one by a negative scale, whose joints keep their names."""
+    """Write a left hand that is a right one with negative scale; its joints keep their names."""
     names, places, weights, parents = webxr_joints()
     vertices, faces = plain_hand()
     flip = np.array([-1.0, 1.0, 1.0])
@@ -232,7 +232,7 @@ def z_up_in_inches(path: Path) -> None:
 
 
 def inner_shell(path: Path) -> None:
-    """A second skin 1.5 mm below the first, looking inwards, as a modifier for solid walls leaves it."""
+    """Write a second, inward skin 1.5 mm below the first, as a modifier for solid walls produces."""
     vertices, faces = plain_hand()
     within = vertices - 0.0015 * skinned().surface.normals
     write_obj(
@@ -246,7 +246,7 @@ def crossed(path: Path) -> None:
 
 
 def forearm(path: Path) -> None:
-    """A hand with its forearm, which gets thicker towards the elbow and is open there, in millimetres."""
+    """Write a hand with its forearm in millimetres; the forearm widens towards the elbow and is open there."""
     vertices, faces = plain_hand()
     faces = cut_by_quads(vertices, faces, height_m=0.0)
     loop = max(boundary_loops(faces), key=len)
@@ -275,7 +275,7 @@ def ring(path: Path) -> None:
 
 
 def fork(path: Path) -> None:
-    """A handle and four prongs, in one piece made of cubes."""
+    """Write a handle and four prongs, in one piece made of cubes."""
     solid = np.zeros((28, 62, 8), dtype=bool)
     solid[12:16, 1:30, 2:6] = True
     solid[3:25, 30:36, 2:6] = True
@@ -316,7 +316,7 @@ NO_HANDS = [
 
 
 def card_of(mesh: Path, unit: str = "auto") -> ReportCard | SceneError:
-    """The report card of a mesh, or what it was refused by before one could be made."""
+    """Return the report card of a mesh, or the earlier error that refused it."""
     try:
         return report_card(mesh, unit)
     except SceneError as error:

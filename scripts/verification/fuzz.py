@@ -1,4 +1,4 @@
-"""Malformed inputs by the thousand: what palmfield makes of them, written to docs/bench/fuzzing.md.
+"""Test palmfield with thousands of malformed inputs; writes docs/bench/fuzzing.md.
 
 python scripts/verification/fuzz.py --cases 1000 --seed 1 --write docs/bench/fuzzing.md
 """
@@ -22,12 +22,12 @@ HERE = Path(__file__).resolve().parent
 SHARES = {"keys": 0.3, "rules": 0.15, "scene": 0.35, "mesh": 0.2}
 LONGEST_S = 120.0
 RAW = re.compile(r"XML Error|XML_ERROR|ErrorID|Schema violation|mjMINVAL|Traceback|pydantic|No module named|\n")
-"""What no message of palmfield's has in it: MuJoCo's and the parser's own words, and more than one line."""
+"""Text that messages of palmfield must not contain: words of MuJoCo and of parsers, and more than one line."""
 BAD = ("traceback", "crash", "too long", "accepted against a rule", "refused in raw words")
 
 
 class Outcome(NamedTuple):
-    """Of a case: refused, accepted or one of BAD; message: the text, or what is known of a crash."""
+    """Result of a case: refused, accepted or one of BAD. message: the text, or information on a crash"""
 
     case: Case
     outcome: str
@@ -36,7 +36,7 @@ class Outcome(NamedTuple):
 
 
 def run_cases(cases: list[Case], longest_s: float = LONGEST_S) -> list[Outcome]:
-    """What becomes of each case, in processes that may die."""
+    """Return the result of each case, computed in processes that may crash."""
     results: dict[int, tuple[str, str, float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         listed = Path(folder) / "cases.pickle"
@@ -60,7 +60,7 @@ def run_cases(cases: list[Case], longest_s: float = LONGEST_S) -> list[Outcome]:
 def _one_process(
     listed: Path, first: int, folder: Path, longest_s: float, results: dict[int, tuple[str, str, float]]
 ) -> None:
-    """Cases from a number on, until the process ends; a case in which it ends is a crash, or takes too long."""
+    """Run cases from a number on until the process ends; the case at its end is a crash or takes too long."""
     command = [sys.executable, str(HERE / "fuzz_worker.py"), str(listed), str(first), str(folder)]
     worker = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert worker.stdout is not None
@@ -84,7 +84,7 @@ def _one_process(
 
 
 def table(outcomes: list[Outcome]) -> str:
-    """Counts by kind, as markdown."""
+    """Return counts by kind as Markdown."""
     lines = ["| kind | inputs | forbidden by a rule | refused | accepted | bad |", "|---|---|---|---|---|---|"]
     for kind in [*SHARES, "all"]:
         own = [one for one in outcomes if kind in (one.case.kind, "all")]
@@ -95,7 +95,7 @@ def table(outcomes: list[Outcome]) -> str:
 
 
 def kinds_of(count: int) -> dict[str, int]:
-    """How many cases of each kind make a number of them."""
+    """Return the number of cases of each kind in a total."""
     kinds = {kind: round(share * count) for kind, share in SHARES.items()}
     kinds["keys"] += count - sum(kinds.values())
     return kinds

@@ -1,4 +1,4 @@
-"""Malformed inputs, drawn by hypothesis: values of keys, keys that don't fit together, scenes and meshes."""
+"""Malformed inputs drawn by hypothesis: values of keys, inconsistent keys, scenes and meshes."""
 
 import re
 from collections.abc import Callable
@@ -19,13 +19,13 @@ NEEDED: dict[str, dict[str, str]] = {
     "palmfield.skin": {"patch_site": "centre"},
     "palmfield.motion": {"keyframes": "motion.toml"},
 }
-"""Keys without which a module's configuration is incomplete."""
+"""Keys without which the configuration of a module is incomplete."""
 DISC = {"shape": "disc", "radius_m": "0.02", "thickness_m": "0.008"}
 AM = {"modulation": "am", "am_quantity": "arp", "am_frequency_Hz": "100", "am_depth": "1"}
 CIRCLE = {"path": "circle", "path_diameter_m": "0.02", "path_rate_Hz": "50"}
 NO_NUMBERS = ("nan", "inf", "-inf", "abc", "1 mm", "12mm", "1,5", "0x10", "--1", "1e", "one")
 BYTES = st.one_of(st.sampled_from(sorted(b'<>/="& -.0123456789aexn')), st.integers(32, 126), st.integers(0, 255))
-"""Most of them such that a reader goes on, and stumbles later."""
+"""Changes of bytes, most of which let a reader continue and fail later."""
 EXTREMES = ("0", "-1", "1e308", "-1e308", "1e-300", "nan", "inf", "1e9", "-0.0", "99999999999999999999", "")
 
 
@@ -33,7 +33,7 @@ EXTREMES = ("0", "-1", "1e308", "-1e308", "1e-300", "nan", "inf", "1e9", "-0.0",
 class Case:
     """One malformed input.
 
-    kind: keys, rules, scene, mesh; fault: what is wrong with it; forbidden: whether a rule refuses it for certain
+    kind: keys, rules, scene, mesh; fault: its fault; forbidden: whether a rule certainly refuses it
     files: contents by name; values: keys of `plugin`, for kinds without files
     """
 
@@ -46,7 +46,7 @@ class Case:
 
 
 def drawn(kinds: dict[str, int], chosen_seed: int) -> list[Case]:
-    """So many different cases of each kind; the same for the same seed."""
+    """Return this number of different cases of each kind; equal for equal seeds."""
     result: list[Case] = []
     for kind, count in kinds.items():
         own: dict[str, Case] = {}
@@ -58,7 +58,7 @@ def drawn(kinds: dict[str, int], chosen_seed: int) -> list[Case]:
 
 
 def _collect(strategy: st.SearchStrategy[Case], count: int, chosen_seed: int, known: dict[str, Case]) -> None:
-    """Add what a strategy draws."""
+    """Add the cases that a strategy draws."""
 
     @seed(chosen_seed)
     @settings(
@@ -84,7 +84,7 @@ def _schemas(model: type[Config]) -> dict[str, Any]:
 
 
 def _wrong_values(model: type[Config], key: str) -> st.SearchStrategy[str] | None:
-    """Texts that a key's own declaration forbids; None for a key that takes any text."""
+    """Return texts that the declaration of a key forbids; None for a key that allows any text."""
     schema = _schemas(model)[key]
     options = [o for o in schema.get("anyOf", [schema]) if o.get("type") != "null"]
     option: dict[str, Any] = options[0]
@@ -128,7 +128,7 @@ def _wrong_lists(option: dict[str, Any]) -> st.SearchStrategy[str] | None:
 
 @st.composite
 def wrong_keys(draw: Callable[..., Any]) -> Case:
-    """One key with a value that it can't have, or that is not there."""
+    """Draw one key with a forbidden value, or one that does not exist."""
     model = draw(st.sampled_from(CONFIGS))
     values = dict(NEEDED.get(model.plugin, {}))
     if draw(st.integers(0, 9)) == 0:
@@ -206,12 +206,12 @@ RULES: dict[str, tuple[str, st.SearchStrategy[dict[str, str]]]] = {
         lambda key: {"keyframes": "a.toml", key: "b"})),
     "tracking key without tracking": ("motion", POSITIVE.map(lambda s: {"keyframes": "a.toml", "ahead_s": s})),
 }  # fmt: skip
-"""Of each rule the plugin whose keys it is about, and keys that break it."""
+"""For each rule, its plugin and keys that break it."""
 
 
 @st.composite
 def broken_rules(draw: Callable[..., Any]) -> Case:
-    """Keys each of which is allowed, and that can't stand together."""
+    """Draw keys that are allowed one by one, but not together."""
     rule = draw(st.sampled_from(sorted(RULES)))
     plugin, values = RULES[rule]
     return Case("rules", rule, True, plugin=f"palmfield.{plugin}", values=draw(values))
@@ -268,12 +268,12 @@ FORBIDDEN_EDITS: dict[str, tuple[str, str, str]] = {
     "entity": ("scene.xml", 'value="pad"', 'value="&pad;"'),
     "massless": ("plain.xml", "<geom type", '<body><joint/></body><geom type'),
 }  # fmt: skip
-"""What is wrong: a file, a text in it, and what stands there instead."""
+"""Faulty edits: a file, a text in it, and its replacement."""
 
 
 @st.composite
 def broken_scenes(draw: Callable[..., Any]) -> Case:
-    """A scene with one fault that is known, or with texts, numbers or bytes changed at random."""
+    """Draw a scene with one known fault, or with texts, numbers or bytes changed at random."""
     files: Files = {"plain.xml": PLAIN, "scene.xml": HAPTIC}
     way = draw(st.sampled_from(("known", "known", "bytes", "numbers", "lines")))
     if way == "known":
@@ -337,7 +337,7 @@ def _obj(vertices: np.ndarray, faces: np.ndarray) -> bytes:
 
 @st.composite
 def broken_meshes(draw: Callable[..., Any]) -> Case:
-    """A ball of 40 mm as OBJ, STL, PLY or GLB, with one fault that is known, or with bytes changed at random."""
+    """Draw a ball of 40 mm as OBJ, STL, PLY or GLB, with one known fault, or with bytes changed at random."""
     vertices, faces = np.array(BALL.vertices), np.array(BALL.faces) + 1
     if draw(st.booleans()):
         fault = draw(st.sampled_from(sorted(MESH_FAULTS)))

@@ -1,4 +1,4 @@
-"""Random and mutated lines sent to the listeners of live foci and of tracked hands, by the hundred thousand.
+"""Send hundreds of thousands of random and mutated lines to the listeners of live foci and tracked hands.
 
 python scripts/verification/fuzz_lines.py --lines 1000000 --seed 1 --write docs/bench/fuzzing.md
 """
@@ -25,7 +25,7 @@ from palmfield.motion.listening import Listener
 
 HEADING = "## Lines that come in live"
 BATCH = 10
-"""Lines that are on their way at a time: none of them gets old."""
+"""Number of lines in transit at a time, so that none becomes too old."""
 DOORS = ("foci", "hands")
 LONGEST = 60000
 KINDS = "none", "value", "key", "bytes", "cut", "joined", "noise", "deep"
@@ -34,12 +34,12 @@ VALUES: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2, 1e308, -1e308, 1e-320, math.nan, math.inf, -math.inf, 10**400, 10**5000, "", "0.1",
     "\ud800", "\x1b[2J", "é", [], {}, [[]], [0, 0], [0, 0, 0.15], [0, 0, 0, 0], [1, 0, 0, 0], {"x": 1}, [None] * 3,
 )  # fmt: skip
-"""What takes the place of a value in an object that is right."""
+"""Values that replace a value of a valid object."""
 BYTES = b'{}[]",:\\-+.eE0123456789 truefalsn\x00\xff\r\t'
 
 
 def good(door: str, number: int) -> dict[str, Any]:
-    """An object that is taken."""
+    """Return a valid object."""
     if door == "foci":
         wobble = 0.01 * math.sin(0.1 * number)
         poses = {"position_m": [0.0, wobble, 0.14], "quaternion": [1, 0, 0, 0]}
@@ -50,7 +50,7 @@ def good(door: str, number: int) -> dict[str, Any]:
 
 
 def drawn(door: str, count: int, seed: int) -> Iterator[tuple[str, list[bytes]]]:
-    """Lines by the batch: what was done to them, and they; the same for the same seed."""
+    """Yield batches of lines, each with its change; equal for equal seeds."""
     rng = random.Random(f"{door} {seed}")
     number = 0
     while number < count:
@@ -95,7 +95,7 @@ def _text(value: Any) -> str:
 
 
 def _put(value: Any, rng: random.Random) -> None:
-    """Another value in the place of a part of an object."""
+    """Replace a part of an object by another value."""
     while True:
         keys = list(value) if isinstance(value, dict) else range(len(value))
         key = rng.choice(keys)
@@ -107,7 +107,7 @@ def _put(value: Any, rng: random.Random) -> None:
 
 
 def _rename(value: dict[str, Any], rng: random.Random) -> None:
-    """A key left out, misspelt or added."""
+    """Omit, misspell or add a key."""
     key = rng.choice(list(value))
     moved = value.pop(key)
     if rng.random() < 0.7:
@@ -115,7 +115,7 @@ def _rename(value: dict[str, Any], rng: random.Random) -> None:
 
 
 def is_focus(line: bytes) -> bool:
-    """Whether a line tells a focus: by the words of docs/boards.md, with Python's own numbers."""
+    """Return whether a line is a valid focus, by the words of docs/boards.md and Python's own numbers."""
     before = sys.get_int_max_str_digits()
     sys.set_int_max_str_digits(0)
     try:
@@ -141,9 +141,9 @@ def is_focus(line: bytes) -> bool:
 
 
 class Sender:
-    """A listener, and a connection to it that is made again where the listener has closed it: on a busy machine.
+    """A listener, and a connection to it that is renewed if the listener closes it on a busy machine.
 
-    outcomes: what became of lines, by what was done to them; faults: what went wrong; again: batches sent again
+    outcomes: results of lines, by their change; faults: failures; again: number of batches sent again
     """
 
     def __init__(self, door: str) -> None:
@@ -154,7 +154,7 @@ class Sender:
         self._out: socket.socket | None = None
 
     def give(self, kind: str, lines: list[bytes], number: int) -> None:
-        """Send lines and see that each is counted. number: of a good line that may go before them"""
+        """Send lines and check that each is counted. number: of a valid line that may precede them"""
         for _ in range(10):
             if self._send(kind, lines, number):
                 return
@@ -183,7 +183,7 @@ class Sender:
         return True
 
     def _counted(self, lines: list[bytes]) -> Counter[str] | None:
-        """How lines are counted; None where some waited too long, or nothing was heard of them."""
+        """Return the counts of lines; None if some waited too long or there was no report of them."""
         listener, ends = self.listener, time.monotonic() + 10.0
         received, bad = listener.received, Counter(listener.bad)
         assert self._out is not None
@@ -200,7 +200,7 @@ class Sender:
 
 
 def sent(door: str, count: int, seed: int) -> tuple[Counter[tuple[str, str]], list[str], int]:
-    """What became of lines that were sent by TCP, by what was done to them; what went wrong; batches sent again."""
+    """Send lines by TCP; return their results by change, failures, and the number of batches sent again."""
     sender, number = Sender(door), 1
     with sender.listener as listener:
         for kind, lines in drawn(door, count - 15, seed):

@@ -1,9 +1,9 @@
-"""Scenes that stay well-formed: shipped and small ones whose elements, names, keys and values are changed, by a seed.
+"""Change elements, names, keys and values of shipped and small scenes at random; they stay well-formed.
 
 python scripts/verification/fuzz_trees.py --cases 1000 --seed 29 --write docs/bench/fuzzing.md
 
-Each case is a scene's tree with one to three changes. Values are of the right type, most of them inside what a key's
-declaration allows and at its ends, so that what is refused is refused by what the scene means.
+Each case is the tree of a scene with one to three changes. Values have the right type, and most are within the declared
+range of a key or at its ends. A refusal is then for the content of the scene.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from palmfield.studies.bench.table import keep_rows
 
 SCENES = ARRAYS.parent / "scenes"
 SHARE_OF_SHIPPED = 0.25
-"""Of the cases; these are loaded and planned, and take seconds each."""
+"""Share of shipped scenes; these are loaded and planned, and take seconds each."""
 BY_PLUGIN = {config.plugin: config for config in CONFIGS}
 AM = {"modulation": "am", "am_quantity": "arp", "am_frequency_Hz": 125, "am_depth": 0.5}
 CIRCLE = {
@@ -103,11 +103,11 @@ extension <plugin plugin="mujoco.pid"/>
 extension <plugin plugin="palmfield.skin"><instance name="bare"/></plugin>
 extension <plugin plugin="palmfield.motion"><instance name="m"><config key="function" value="x:y"/></instance></plugin>
 """.strip().splitlines()
-"""Where they go, and what: all of it well-formed, little of it right in every scene."""
+"""Additional elements by parent: all well-formed, few valid in every scene."""
 
 
 def drawn_trees(count: int, seed: int, share_of_shipped: float = SHARE_OF_SHIPPED) -> list[Case]:
-    """So many different scenes, the same for the same seed."""
+    """Return this number of different scenes; equal for equal seeds."""
     rng = random.Random(seed)
     shipped = [path for path in sorted(SCENES.glob("*.xml")) if "palmfield.skin" in path.read_text()]
     result: dict[str, Case] = {}
@@ -131,13 +131,13 @@ def drawn_trees(count: int, seed: int, share_of_shipped: float = SHARE_OF_SHIPPE
 
 
 def _with_whole_paths(text: str) -> str:
-    """A shipped scene's text as it stands in another folder."""
+    """Return the text of a shipped scene with the paths for another folder."""
     text = re.sub(r'file="(?!/)([^"]+)"', lambda found: f'file="{(SCENES / found[1]).resolve()}"', text)
     return re.sub(r'value="(\.\./[^"]+)"', lambda found: f'value="{(SCENES / found[1]).resolve()}"', text)
 
 
 def right_value(rng: random.Random, config: type[Config], key: str) -> str:
-    """A value of the type that a key takes, most often inside its bounds or at their ends."""
+    """Return a value of the type of a key, most often within its bounds or at their ends."""
     schema: dict[str, Any] = config.model_json_schema()["properties"][key]
     option = next((one for one in schema.get("anyOf", [schema]) if one.get("type") != "null"), schema)
     if "enum" in option:
@@ -283,7 +283,7 @@ def _is_number(text: str) -> bool:
 
 
 def _rename(rng: random.Random, tree: ET.Element) -> bool:
-    """A name, or what refers to one: to a word, to another's, or to nothing."""
+    """Change a name or a reference: to a word, to another name, or to nothing."""
     texts = [(one, key) for one in tree.iter() for key, value in one.attrib.items() if not NUMERIC.match(value)]
     texts = [(one, key) for one, key in texts if key not in ("file", "plugin", "key")]
     if not texts:
@@ -318,7 +318,7 @@ def _add_element(rng: random.Random, tree: ET.Element) -> bool:
 
 
 def _wrap(rng: random.Random, tree: ET.Element) -> bool:
-    """A body, site or geom stands in a frame, or is replicated."""
+    """Put a body, site or geom into a frame, or replicate it."""
     wrapped = [(parent, child) for parent, child in _parents(tree) if child.tag in ("body", "site", "geom", "frame")]
     if not wrapped:
         return False
@@ -335,7 +335,7 @@ def _wrap(rng: random.Random, tree: ET.Element) -> bool:
 
 
 def _graft(rng: random.Random, tree: ET.Element) -> bool:
-    """A part of a shipped scene, where it belongs or not."""
+    """Insert a part of a shipped scene, at a valid place or not."""
     path = rng.choice([path for path in sorted(SCENES.glob("*.xml")) if "palmfield.skin" in path.read_text()])
     other = ET.fromstring(_with_whole_paths(path.read_text()))
     section = rng.choice(list(other))

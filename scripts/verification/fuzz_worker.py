@@ -1,4 +1,4 @@
-"""Gives malformed inputs to palmfield in this process, which may die of one: `fuzz.run_cases` starts another then.
+"""Load malformed inputs in this process, which may crash; `fuzz.run_cases` then starts another one.
 
 python fuzz_worker.py CASES.pickle FIRST FOLDER prints a line of JSON before and after each case.
 """
@@ -20,11 +20,11 @@ from palmfield.errors import PalmfieldError
 from palmfield.hand.meshfile import load_mesh
 
 STEPS, AT_MOST_S = 3, 15.0
-"""A scene that is accepted is stepped so often, where its plan expects a run of no more seconds."""
+"""Number of steps of an accepted scene, and largest planned time of a run for which it is stepped [s]."""
 
 
 def planned_and_stepped(path: Path) -> None:
-    """Plan a scene, and step it where that is quick: no warning of NumPy's, and no number that is none."""
+    """Plan a scene, and step it if that is quick: no NumPy warning and no NaN is allowed."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         plan = palmfield.plan(path)
@@ -41,7 +41,7 @@ def planned_and_stepped(path: Path) -> None:
 
 
 def load_case(case: Case, folder: Path) -> None:
-    """Open what a case says as a user's scene would. Raises what palmfield raises."""
+    """Open a case as a user's scene. Raises the errors of palmfield."""
     folder.mkdir(parents=True)
     for name, data in case.files.items():
         (folder / name).write_bytes(data)

@@ -1,10 +1,11 @@
-"""Do the shipped scenes show the same when they are written in another way? docs/bench/invariants.md is its output.
+"""Test that the shipped scenes have the same results in equivalent forms; writes docs/bench/invariants.md.
 
     python scripts/verification/invariants.py [--scenes NAME ...] [--steps 8] [--out docs/bench/invariants.md]
         [--kept FOLDER]
 
-Each scene is stepped at its shipped accuracy, as it is and in each way of `scene_variants.VARIANTS`. Of what is kept in
-a folder, scene by scene, a later run makes the page: scenes can be run at a time, or by several processes.
+Each scene is stepped at its shipped accuracy, unchanged and in each form of `scene_variants.VARIANTS`. Results are
+stored in a folder by scene, and a later run makes the page from them. So scenes can be run one at a time, or by several
+processes.
 """
 
 import argparse

@@ -1,8 +1,8 @@
-"""A simulated laboratory: readings of a board that differs from the layout, by a model that is not the fitter's.
+"""A simulated laboratory: measurements of a board that differs from the layout, by another model than the fit.
 
 Float64 sums written here from the equations, with the T4010A1's measured directivity (linear between its entries), a
-plate behind the microphones that reflects, air at another temperature than is thought, microphones that are not where
-they are thought to be, and 8-bit readings. Nothing is imported from the package but the layouts' positions.
+reflecting plate behind the microphones, a wrong assumed air temperature, wrong assumed microphone positions, and 8-bit
+readings. Only the positions of the layouts are imported from the package.
 """
 
 from dataclasses import dataclass, field
@@ -15,13 +15,16 @@ AMPLITUDES = np.array([1.0, 1.0, 1.0, 0.891, 0.708, 0.501, 0.355, 0.251, 0.200, 
 
 
 def speed_of_sound(temperature_C: float) -> float:
-    """Of dry air as an ideal gas [m/s]."""
+    """Return the speed of sound of dry air as an ideal gas [m/s]."""
     return 331.3 * np.sqrt(1.0 + temperature_C / 273.15)
 
 
 @dataclass(frozen=True)
 class Laboratory:
-    """positions: of the transducers [m], (n, 3); response: true complex factor of each, (n,); p0 [Pa m]"""
+    """The board and its air.
+
+    positions: of the transducers [m], (n, 3); response: true complex factor of each, (n,); p0 [Pa m]
+    """
 
     positions: np.ndarray
     response: np.ndarray
@@ -35,14 +38,14 @@ class Laboratory:
     random: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def each(self, at: np.ndarray) -> np.ndarray:
-        """Pressure of each transducer alone at places [m], (k, n)."""
+        """Return the pressure of each transducer alone at points [m], (k, n)."""
         total = self._direct(at)
         if self.plate_m is not None:
             total = total + self.reflection * self._direct(at * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * self.plate_m])
         return total
 
     def read(self, pressure: np.ndarray) -> np.ndarray:
-        """What a recorder of that many bits, ranged to the loudest reading, makes of complex pressures."""
+        """Return complex pressures as digitised with this number of bits and the range of the loudest reading."""
         loudest = np.abs(pressure).max()
         noise = self.random.normal(size=(2, *pressure.shape)) * self.noise * loudest / np.sqrt(2.0)
         noisy = pressure + noise[0] + 1j * noise[1]
@@ -62,7 +65,7 @@ class Laboratory:
 
 
 def strange_board(random: np.random.Generator, count: int, dead: int = 5) -> np.ndarray:
-    """Half of the transducers turned, phases 10 deg and gains 8 % sd, some dead; complex, (count,)."""
+    """Return a board with half of the transducers inverted, 10 deg and 8 % sd, and some dead; complex, (count,)."""
     polarity = np.where(random.random(count) < 0.5, -1.0, 1.0)
     response = polarity * random.normal(1.0, 0.08, count) * np.exp(1j * np.radians(random.normal(0.0, 10.0, count)))
     response[random.choice(count, dead, replace=False)] = 0.0

@@ -1,4 +1,4 @@
-"""Faults that a change could bring in, three or more in every stage of a step, and the test that finds each."""
+"""Faults that a change might introduce, three or more per stage of a step, and the test that detects each."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ class Mutation(NamedTuple):
     """One fault.
 
     name: in words; stage: of the pipeline; file: from the repository's root
-    text: what stands there, once; becomes: what the fault makes of it
+    text: original text, which occurs once; becomes: its replacement
     test: pytest's name of the test that must fail
     """
 

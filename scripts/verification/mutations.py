@@ -1,4 +1,4 @@
-"""Known faults put into palmfield one at a time: each must turn its test red. Written to docs/bench/mutations.md.
+"""Put known faults into palmfield one at a time; each must make its test fail. Writes docs/bench/mutations.md.
 
 python scripts/verification/mutations.py --write docs/bench/mutations.md
 """
@@ -39,18 +39,18 @@ COPIED = ("palmfield", "warp_kernels", "tests", "mjcf", "hand_models", "scripts"
 LONGEST_S = 120.0
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 FORKS = multiprocessing.get_context("forkserver")
-"""Forks a process that has imported other packages than palmfield: these imports are half the time of a short test."""
+"""Process that forks after it has imported all packages except palmfield: half the time of a short test."""
 FORKS.set_forkserver_preload(["third_party"])
 STARTING = threading.Lock()
-"""Of the environment, which is another while a process starts."""
+"""Lock for the environment, which changes while a process starts."""
 NOT_BY_FUNCTIONS = 77
-"""How a fork ends, without a test, whose fault is not in functions alone."""
+"""Exit of a fork without a test, if its fault is not in functions only."""
 EXPECTED = re.compile(r"assert |AssertionError|Failed: |palmfield\.errors\.")
-"""How a test may end under a mutation: by its own assertion, or by an error that palmfield raises on purpose."""
+"""Valid failures of a test under a mutation: its own assertion, or an error that palmfield raises on purpose."""
 
 
 class Outcome(NamedTuple):
-    """What became of a test under its mutation. red: it failed as it must; said: its reason, or what went wrong."""
+    """Result of a test under its mutation. red: whether it failed as required; said: its reason, or the problem"""
 
     mutation: Mutation
     red: bool
@@ -59,7 +59,7 @@ class Outcome(NamedTuple):
 
 
 def copied(folder: Path) -> Path:
-    """A copy of the package with its tests, below a folder. Files keep their times: the bytecode is theirs too."""
+    """Return a copy of the package with its tests below a folder. File times are kept, so bytecode stays valid."""
     tree = folder / "palmfield"
     tree.mkdir()
     for name in COPIED:
@@ -73,7 +73,7 @@ def copied(folder: Path) -> Path:
 
 @contextmanager
 def mutated(tree: Path, mutation: Mutation) -> Iterator[None]:
-    """A copy with one text replaced. Raises ValueError where the text isn't there exactly once."""
+    """Return a copy with one text replaced. Raises ValueError if the text does not occur exactly once."""
     path = tree / mutation.file
     whole = path.read_text(encoding="utf-8")
     if (count := whole.count(mutation.text)) != 1:
@@ -90,10 +90,10 @@ def mutated(tree: Path, mutation: Mutation) -> Iterator[None]:
 
 
 class Ended(NamedTuple):
-    """How a pytest process ended.
+    """End of a pytest process.
 
-    code: exit code, -1 beyond its time, -2 where the process ended without one; output: what it printed
-    failures: first line of the message by test, named as on pytest's command line; errors of fixtures are none
+    code: exit code, -1 after its time limit, -2 if the process ended without one; output: its printed output
+    failures: first line of the message by test, named as on pytest's command line; without errors of fixtures
     """
 
     code: int
@@ -102,8 +102,10 @@ class Ended(NamedTuple):
 
 
 def pytest_in(tree: Path, tests: Sequence[str], longest_s: float) -> Ended:
-    """Run tests of a copy in a process of its own, and read its exit code and its JUnit file: printed lines are cut
-    to a terminal's width, or not, as the caller's environment has it."""
+    """Run tests of a copy in another process, and read its exit code and its JUnit file.
+
+    The file is used because printed lines may be cut to the width of a terminal.
+    """
     receiver, sender = FORKS.Pipe(duplex=False)
     process = _started(tree, _run_pytest, _options(tree, tests), sender)
     sender.close()
@@ -120,9 +122,9 @@ def pytest_in(tree: Path, tests: Sequence[str], longest_s: float) -> Ended:
 
 
 def pytest_under(tree: Path, fault: Path, was: str, tests: Sequence[str], longest_s: float) -> Ended:
-    """As `pytest_in`, in a fork of a process that had imported the copy when the file of the fault still held `was`.
+    """Run tests as `pytest_in`, in a fork of a process that imported the copy with the original text `was`.
 
-    The fork takes the functions that differ, so that it need not import the rest again.
+    The fork replaces the functions that differ, so that it need not import the rest again.
     """
     requests = imported(tree)
     requests.send((_options(tree, tests), fault, was))
@@ -138,7 +140,7 @@ def pytest_under(tree: Path, fault: Path, was: str, tests: Sequence[str], longes
 
 @cache
 def imported(tree: Path) -> Connection:
-    """A connection to a process that has imported palmfield from a copy, and forks at each request."""
+    """Return a connection to a process that has imported palmfield from a copy, and forks at each request."""
     ours, theirs = FORKS.Pipe()
     _started(tree, _fork_on_request, theirs)
     theirs.close()
@@ -161,7 +163,7 @@ def _ended(tree: Path, code: int) -> Ended:
 
 
 def _started(tree: Path, target: Callable[..., None], *arguments: object) -> BaseProcess:
-    """A process, forked before anything of palmfield was imported, that runs a function on a copy."""
+    """Start a process that was forked before any import of palmfield, and runs a function on a copy."""
     own = {"PYTHONPATH": str(tree), "PALMFIELD_CACHE": "off", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", **ONE_THREAD}
     with STARTING:
         inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
@@ -210,7 +212,7 @@ def _print_to(tree: Path) -> None:
 
 
 def _import_from(tree: Path, environment: dict[str, str]) -> None:
-    """Have palmfield from a copy. Raises RuntimeError where something of palmfield is there."""
+    """Import palmfield from a copy. Raises RuntimeError if a part of palmfield is already imported."""
     if "palmfield" in sys.modules:
         raise RuntimeError("palmfield was imported before the copy that is tested")
     os.environ.clear()
@@ -223,10 +225,10 @@ def _import_from(tree: Path, environment: dict[str, str]) -> None:
 
 
 def replace_functions(path: Path, was: str) -> bool:
-    """Give all functions of a module, wherever they are held, the code that its file has now.
+    """Replace the code of all functions of a module by that in its present file, in all references to them.
 
-    was: the file's text when the module was imported, if it was
-    Whether that is all that has changed: the rest of a module has run, and Warp has read its kernels.
+    was: text of the file when the module was imported, if it was imported
+    Returns whether only functions have changed: the rest of the module has already run, and Warp has read its kernels.
     """
     now = path.read_text(encoding="utf-8")
     before, after = (list(_codes(compile(text, str(path), "exec"))) for text in (was, now))
@@ -242,7 +244,7 @@ def replace_functions(path: Path, was: str) -> bool:
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
-    """A code object and those in it, in the order of the text."""
+    """Return a code object and the code objects in it, in the order of the text."""
     yield code
     for part in code.co_consts:
         if isinstance(part, CodeType):
@@ -250,12 +252,12 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 
 def _own(code: CodeType) -> tuple[object, ...]:
-    """What a code object does, without the code objects in it."""
+    """Return the instructions of a code object, without the code objects in it."""
     return code.co_code, code.co_names, [repr(part) for part in code.co_consts if not isinstance(part, CodeType)]
 
 
 def failures_in(report: Path) -> dict[str, str]:
-    """First lines of the messages of failed tests in a JUnit file, by test; empty where pytest wrote none."""
+    """Return first lines of the messages of failed tests in a JUnit file, by test; empty if there is no file."""
     if not report.exists():
         return {}
     found = {}
@@ -267,7 +269,7 @@ def failures_in(report: Path) -> dict[str, str]:
 
 
 def judged(mutation: Mutation, ended: Ended) -> tuple[bool, str]:
-    """Whether a test failed as it must under its mutation, and why."""
+    """Return whether a test failed as required under its mutation, and why."""
     if ended.code == 0:
         return False, "the test passes all the same"
     own = (message for name, message in ended.failures.items() if mutation.test in (name, name.partition("[")[0]))
@@ -279,7 +281,7 @@ def judged(mutation: Mutation, ended: Ended) -> tuple[bool, str]:
 
 
 def outcome_of(tree: Path, mutation: Mutation) -> Outcome:
-    """The outcome of a mutation's test in a copy, which is left as it was."""
+    """Return the outcome of a mutation's test in a copy, which is restored afterwards."""
     began = time.perf_counter()
     fault = tree / mutation.file
     was = fault.read_text(encoding="utf-8")
@@ -293,13 +295,13 @@ def outcome_of(tree: Path, mutation: Mutation) -> Outcome:
 
 
 def unmutated(tree: Path, mutations: Sequence[Mutation]) -> tuple[bool, str]:
-    """Whether all tests of mutations pass in a copy without any, and what pytest says."""
+    """Return whether all tests of mutations pass in a copy without any, and pytest's output."""
     ended = pytest_in(tree, list(dict.fromkeys(one.test for one in mutations)), LONGEST_S * len(mutations))
     return ended.code == 0, ended.output
 
 
 def outcomes_of(folder: Path, mutations: Sequence[Mutation], jobs: int) -> Iterator[Outcome]:
-    """The outcomes of mutations in their order, so many at once, each in a copy of its own below a folder."""
+    """Return the outcomes of mutations in their order; `jobs` run at once, each in its own copy below a folder."""
     trees: Queue[Path] = Queue()
     for number in range(jobs):
         (folder / str(number)).mkdir()
@@ -317,7 +319,7 @@ def outcomes_of(folder: Path, mutations: Sequence[Mutation], jobs: int) -> Itera
 
 
 def page(outcomes: Sequence[Outcome]) -> str:
-    """Markdown for docs/bench/mutations.md."""
+    """Return Markdown for docs/bench/mutations.md."""
     red = sum(one.red for one in outcomes)
     lines = [
         "# Faults that the tests find",

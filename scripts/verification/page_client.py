@@ -1,4 +1,4 @@
-"""A client of the live view's page that is no browser: it counts what comes, and presses and turns what it finds."""
+"""A client of the live view's page without a browser: it counts messages and operates controls."""
 
 import time
 from typing import Any, Self
@@ -18,13 +18,13 @@ CAMERA = {
 
 
 class PageClient:
-    """Connected to a page. Use as a context manager.
+    """A connection to a page. Use it as a context manager.
 
-    controls: properties of buttons, sliders and texts by label, as they were last told, with `uuid`
+    controls: last known properties of buttons, sliders and texts by label, with `uuid`
     """
 
     def __init__(self, address: str, headers: dict[str, str] | None = None) -> None:
-        """address: the page's, without token. Raises InvalidStatus where it does not let this client in."""
+        """Connect to a page. address: that of the page, without token. Raises InvalidStatus if the page refuses."""
         self._talk = connect(
             f"ws://{urlsplit(address).netloc}/", subprotocols=[f"viser-v{viser.__version__}"], max_size=None,  # type: ignore[list-item]
             additional_headers=headers or {}, origin=(headers or {}).get("Origin"), compression=None,
@@ -38,7 +38,7 @@ class PageClient:
         self._talk.send(msgspec.msgpack.encode(message))
 
     def received(self, wait_s: float) -> list[dict[str, Any]]:
-        """The messages of the next packet, none when none comes in time [s]."""
+        """Return the messages of the next packet, none if none arrives in this time [s]."""
         try:
             packet = self._talk.recv(timeout=wait_s)
         except TimeoutError:
@@ -61,7 +61,7 @@ class PageClient:
                 self.controls[held["label"]] = held
 
     def until(self, seen: Any, seconds: float = 30.0) -> list[dict[str, Any]]:
-        """Messages up to the first for which `seen(message)` is true. Raises TimeoutError when none comes."""
+        """Return messages up to the first with `seen(message)` true. Raises TimeoutError if there is none."""
         ends, all_messages = time.monotonic() + seconds, []
         while time.monotonic() < ends:
             for message in self.received(0.2):
@@ -71,7 +71,7 @@ class PageClient:
         raise TimeoutError(f"it did not come in {seconds:g} s; the page says: {self.texts}")
 
     def until_says(self, words: str, seconds: float = 30.0) -> None:
-        """Until the page says so, or a button does. Raises TimeoutError as `until`."""
+        """Wait until the page or a button shows these words. Raises TimeoutError as `until`."""
         if not self._says(words):
             self.until(lambda _: self._says(words), seconds)
 
@@ -81,16 +81,16 @@ class PageClient:
 
     @property
     def texts(self) -> list[str]:
-        """What the page says in its HTML."""
+        """Return the texts in the HTML of the page."""
         return [one["content"] for one in self._by_uuid.values() if "content" in one]
 
     def press(self, label: str) -> None:
-        """Press a button by what it says now."""
+        """Press a button by its present label."""
         button = next(one for one in self._by_uuid.values() if one.get("label") == label)
         self._send({"type": "GuiUpdateMessage", "uuid": button["uuid"], "updates": {"value": True}})
 
     def turn(self, label: str, value: float | str) -> None:
-        """Put a slider, a choice or a text, by its label, to a value."""
+        """Set a slider, a choice or a text, by its label."""
         self._send({"type": "GuiUpdateMessage", "uuid": self.controls[label]["uuid"], "updates": {"value": value}})
 
     def __enter__(self) -> Self:
@@ -101,12 +101,12 @@ class PageClient:
 
 
 def is_picture(message: dict[str, Any]) -> bool:
-    """Whether a message brings a skin in another state."""
+    """Return whether a message has a new state of a skin."""
     return message["type"] == "SceneNodeUpdateMessage" and "glb_data" in message["updates"]
 
 
 def pictures_a_second(client: PageClient, seconds: float) -> float:
-    """How many states of the first skin arrive in a second."""
+    """Return how many states of the first skin arrive per second."""
     count, began = 0, time.monotonic()
     names: set[str] = set()
     while time.monotonic() < began + seconds:

@@ -1,8 +1,8 @@
-"""A line's other end as a process of its own: `python player_line.py FILE` opens a pseudo-terminal and says its name.
+"""The receiving end of a line as a process: `python player_line.py FILE` opens a pseudo-terminal.
 
-It keeps all bytes that come, until its standard input ends, and writes them to FILE. When they came it doesn't tell:
-the system brings bytes across a pseudo-terminal at normal priority, later the busier it is. It asks for priority
-itself, as a real board takes bytes whatever the host does, and loads no NumPy.
+It prints the name of the terminal, stores all received bytes until its standard input ends, and writes them to FILE. It
+stores no times, because the system transfers bytes across a pseudo-terminal at normal priority, with delays under load.
+It requests priority, since a real board receives bytes at any load of the host, and it does not load NumPy.
 """
 
 import contextlib
@@ -22,19 +22,19 @@ PRIORITY = 70
 
 @dataclass
 class LineBytes:
-    """data: all bytes that came, once the line has ended"""
+    """Received bytes. data: all of them, once the line has ended"""
 
     port: str
     data: bytes = b""
 
     def frames(self, size: int, before: int = 0) -> list[bytes]:
-        """Whole frames of so many bytes. before: bytes that come first"""
+        """Return whole frames of this number of bytes. before: number of preceding bytes"""
         return [self.data[at : at + size] for at in range(before, len(self.data) - size + 1, size)]
 
 
 @contextmanager
 def listened() -> Iterator[LineBytes]:
-    """A pseudo-terminal at whose other end a process listens; what it heard is there after the block."""
+    """Return a pseudo-terminal with a listening process; its received bytes are available after the block."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "heard"
         process = subprocess.Popen(

@@ -1,4 +1,4 @@
-"""Runs of the player beside a busy solver: AUTD's packets next to a plain writer thread, and SonicSurface's frames.
+"""Runs of the player during a busy solver: AUTD packets, also by a plain writer thread, and SonicSurface frames.
 
 check_player.py makes a page of them; tests/drive/player/test_lateness.py asserts a short one.
 """
@@ -25,12 +25,12 @@ AUTD = BOARDS["autd2018"]
 SONIC = BOARDS["sonicsurface"]
 FULL_WIDTH = 320
 COUNTED = 30_000
-"""Numbers below it fit a coordinate."""
+"""Limit of numbers that fit a coordinate."""
 
 
 @dataclass(frozen=True)
 class Late:
-    """Delays of packets [s]: which 99 % stay within, and the worst."""
+    """Delays of packets [s]: 99th percentile and maximum."""
 
     p99_s: float
     worst_s: float
@@ -42,8 +42,10 @@ class Late:
 
 @dataclass(frozen=True)
 class Stream:
-    """What became of packets. line: delay of the last byte on the line, by the moments of hand-over and the line's rate
-    handed: of hand-over itself; lost: handed over, and not heard at the line's other end
+    """Result for packets.
+
+    line: delay of the last byte on the line, from the times of hand-over and the rate of the line
+    handed: delay of the hand-over; lost: number of packets handed over but not received
     """
 
     sent: int
@@ -55,7 +57,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class AutdRun:
-    """pauses: packets' times that passed while the machine itself stood still for more than half of one"""
+    """A run with AUTD packets. pauses: packets due while the machine was paused for more than half of one"""
 
     player: Stream
     thread: Stream
@@ -65,14 +67,14 @@ class AutdRun:
 
 @dataclass(frozen=True)
 class SonicRun:
-    """whole: frames that the listener heard"""
+    """A run with SonicSurface frames. whole: number of complete received frames"""
 
     report: PlayReport
     whole: int
 
 
 def svds(ended: threading.Event) -> None:
-    """Singular values of small matrices: half of it holds the interpreter, half does not."""
+    """Compute singular values of small matrices; half of it blocks the interpreter (GIL), half does not."""
     matrix = np.random.default_rng(0).standard_normal((120, 120))
     while not ended.is_set():
         np.linalg.svd(matrix)
@@ -80,7 +82,7 @@ def svds(ended: threading.Event) -> None:
 
 @contextmanager
 def busy(works: Sequence[Callable[[threading.Event], None]]) -> Iterator[None]:
-    """A thread of this process for each piece of work, which goes on until its event is set."""
+    """Start a thread of this process for each function, which runs until its event is set."""
     ended = threading.Event()
     threads = [threading.Thread(target=work, args=(ended,), daemon=True) for work in works]
     for thread in threads:
@@ -94,14 +96,14 @@ def busy(works: Sequence[Callable[[threading.Event], None]]) -> Iterator[None]:
 
 
 def numbered(count: int) -> list[bytes]:
-    """AUTD packets that tell their number by their focus."""
+    """Return AUTD packets whose focus encodes their number."""
     board = AUTD
     assert isinstance(board, Autd2018)
     return [board.packet((number % COUNTED, number // COUNTED, 0, FULL_WIDTH)) for number in range(count)]
 
 
 def lost(line_bytes: LineBytes, sent: int) -> int:
-    """How many of so many numbered packets, sent once each, were not heard."""
+    """Return how many of some numbered packets, sent once each, were not received."""
     board = AUTD
     assert isinstance(board, Autd2018)
     numbers, at, size = set(), 0, board.frame_bytes
@@ -115,7 +117,10 @@ def lost(line_bytes: LineBytes, sent: int) -> int:
 
 
 def write_plainly(port: str, packets: Sequence[bytes], began: list[float], ended: list[float]) -> None:
-    """Sleep until a packet's time, write it, and so on. began, ended: get how late each write was then [s]"""
+    """Sleep until the time of each packet and write it.
+
+    began, ended: lists that receive the delays of each write [s]
+    """
     end = os.open(port, os.O_WRONLY | os.O_NOCTTY)
     start = time.monotonic() + 0.1
     for number, packet in enumerate(packets):
@@ -129,14 +134,14 @@ def write_plainly(port: str, packets: Sequence[bytes], began: list[float], ended
 
 
 def on_the_line(late: Sequence[float]) -> list[float]:
-    """Delays of packets' last bytes on a line, by delays of their hand-over at the times the line should begin [s]."""
+    """Return delays of the last bytes of packets on a line, from their hand-over delays at the due times [s]."""
     line = LineClock(AUTD.frame_time_s / AUTD.frame_bytes)
     due = [1.0 + number * PERIOD_S for number in range(len(late))]
     return [line.hand(AUTD.frame_bytes, at + by) - at - AUTD.frame_time_s for at, by in zip(due, late, strict=True)]
 
 
 def stream_autd(seconds: float, works: Sequence[Callable[[threading.Event], None]], priority: bool) -> AutdRun:
-    """Packets at 2 kHz by the player and, at the same time, by a thread of this process, each to its own line."""
+    """Send packets at 2 kHz by the player and, at the same time, by a thread, each to its own line."""
     packets = numbered(round(seconds / PERIOD_S))
     began: list[float] = []
     ended: list[float] = []
@@ -156,7 +161,7 @@ def stream_autd(seconds: float, works: Sequence[Callable[[threading.Event], None
 
 
 def play_sonic(seconds: float, works: Sequence[Callable[[threading.Event], None]], priority: bool) -> SonicRun:
-    """Frames of a SonicSurface as fast as its line takes them."""
+    """Send frames of a SonicSurface at the full rate of its line."""
     drives = [np.full(SONIC.transducers, np.exp(2j * np.pi * step / 32)) for step in range(32)]
     frames = [SONIC.encode(drive) for drive in drives]
     times = [number * SONIC.frame_time_s for number in range(round(seconds / SONIC.frame_time_s))]

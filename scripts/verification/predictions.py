@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Predictions for laboratories, and of findings that others have published: docs/gallery/predictions.json and .md.
+"""Compute predictions for laboratories and of published findings: docs/gallery/predictions.json and .md.
 
 python scripts/verification/predictions.py [--out docs/gallery]     # both halves, about 15 minutes of processor
 python scripts/verification/predictions.py --page [--out ...]       # the page alone, from the numbers
 
-The numbers are committed first; `score_predictions.py` compares them with what was published, on a page of its own.
+The numbers are committed first; `score_predictions.py` then compares them with the published values on another page.
 """
 
 import argparse
@@ -24,7 +24,7 @@ OBSERVERS = ("bolanowski_1988", "morioka_griffin_2006", "afferent_human")
 
 
 def compute() -> dict[str, Any]:
-    """All numbers, rounded to four digits."""
+    """Return all numbers, rounded to four digits."""
     # A checkout that changes in the meantime is not what runs
     commit = git_commit()
     cases = []
@@ -57,7 +57,7 @@ def _rounded(value: Any) -> Any:
 
 
 def page(numbers: dict[str, Any]) -> str:
-    """The page of these numbers, Markdown."""
+    """Return the page of these numbers as Markdown."""
     text = INTRODUCTION.read_text(encoding="utf-8")
     parts = {
         "FORCE": _force_table(numbers["force"]),
@@ -86,7 +86,7 @@ def _force_table(cases: list[dict[str, Any]]) -> str:
 
 
 def _error(case: dict[str, Any]) -> float:
-    """Half of what places twice as far apart change; a run with half the spacing stayed within it in the worst case."""
+    """Return half of the change for a doubled spacing; in the worst case half the spacing changed less."""
     return 0.5 * abs(case["coarser"] - case["ratio"])
 
 

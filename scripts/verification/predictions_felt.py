@@ -1,8 +1,8 @@
-"""What the observers predict of findings in mid-air: levels of simulated skin, without a number from the findings.
+"""Predict findings in mid-air by the observers: levels of simulated skin, without values from the findings.
 
-The skin is the project's palm on bone, endless and flat, under Gaussian spots of 10.3 mm (a 16 x 16 array at 200 mm),
-and the motion is the steady one (`repeated_load`). Perceived strength is the highest level on
-the skin. Differences of levels don't depend on p0. `python scripts/verification/predictions.py` writes the page.
+The skin is palmfield's palm on bone, infinite and flat, under Gaussian spots of 10.3 mm (a 16 x 16 array at 200 mm),
+and the motion is steady (`repeated_load`). Perceived strength is the highest level on the skin. Differences of levels
+don't depend on p0. `python scripts/verification/predictions.py` writes the page.
 """
 
 import math
@@ -20,25 +20,28 @@ from palmfield.types import Complex, Float, Float32
 FWHM_M = 0.0103
 DEPTHS_M = (0.01, 0.02)
 NO_WAVES = 0.0
-"""Stands for a depth: of a skin in which nothing propagates."""
+"""Value in place of a depth for a skin without wave propagation."""
 HELD = 256
-"""Places of a period of what moves or swells without steps."""
+"""Number of positions per period of a continuous motion or modulation."""
 HIGHEST_Hz = 500.0
-"""The end of the longest table."""
+"""Upper end of the longest table."""
 BLOCK = 16
-"""Lines that are computed at a time."""
+"""Number of lines per block."""
 PACINIAN_Hz = 40.0
 DIP_dB = 3.0
-"""What counts as a gap between two spots: the largest least difference of amplitudes that is felt without masking, 1.65
-to 2.98 dB (A. Israr et al., J. Acoust. Soc. Am. 120 (2006) 2789, abstract)."""
+"""Dip of a gap between two spots.
+
+It is the largest difference threshold of amplitude without masking, 1.65
+to 2.98 dB (A. Israr et al., J. Acoust. Soc. Am. 120 (2006) 2789, abstract).
+"""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding, as it is predicted. quantity: in words; unit: of the predicted size; claim: what is predicted
+    """A finding and its prediction. quantity: in words; unit: of the predicted size; claim: predicted direction
 
-    size: of an observer on a skin of a depth [m]; holds: whether such a size has the direction of the claim
-    baseline: what duration and energy alone predict, in words; baseline_holds: whether that has the claim's direction
+    size: function of an observer and a depth [m]; holds: whether a size has the direction of the claim
+    baseline: prediction from duration and energy alone, in words; baseline_holds: whether it has that direction
     """
 
     name: str
@@ -53,9 +56,9 @@ class Finding:
 
 
 class NoWaves(FlatLayer):
-    """A skin that moves at each point as the pressure on that point alone, 1 um/Pa at all frequencies.
+    """A skin whose points move only with their own pressure, 1 um/Pa at all frequencies.
 
-    Nothing propagates in it, so that what it predicts as well is no evidence of waves.
+    Nothing propagates in it, so a correct prediction by it is no evidence of waves.
     """
 
     def lines(self, spots: Sequence[RepeatedSpot], rate_Hz: float, orders: Sequence[int]) -> Complex:
@@ -74,12 +77,12 @@ class NoWaves(FlatLayer):
 
 
 def layer(depth_m: float) -> FlatLayer:
-    """The palm of a depth [m]; the skin without waves for NO_WAVES."""
+    """Return the palm of a depth [m]; the skin without waves for NO_WAVES."""
     return NoWaves(preset("palm"), DEPTHS_M[0]) if depth_m == NO_WAVES else FlatLayer(preset("palm"), depth_m)
 
 
 def circle(circumference_m: float, points: int = HELD, begin: float = 0.0, peak_Pa: float = 1.0) -> RepeatedSpot:
-    """A focus on a circle, held at so many places of a turn; begin: in turns."""
+    """Return a focus on a circle with this number of positions per turn; begin: in turns."""
     turns = 2.0 * math.pi * (np.arange(points) / points + begin)
     radius = circumference_m / (2.0 * math.pi)
     return RepeatedSpot(
@@ -88,13 +91,13 @@ def circle(circumference_m: float, points: int = HELD, begin: float = 0.0, peak_
 
 
 def pressure_am(centre_m: Sequence[float] = (0.0, 0.0)) -> RepeatedSpot:
-    """A focus at rest whose pressure has a sine of depth 1: ARP ((1 + sin)/2)^2, 1 Pa at the loudest moment."""
+    """Return a fixed focus with a pressure sine of depth 1: ARP ((1 + sin)/2)^2, 1 Pa at its maximum."""
     phase = 2.0 * math.pi * (np.arange(HELD) + 0.5) / HELD
     return RepeatedSpot(np.tile(np.asarray(centre_m, float), (HELD, 1)), (0.5 * (1.0 + np.sin(phase))) ** 2, FWHM_M)
 
 
 def to_and_fro(width_m: float, step_m: float) -> RepeatedSpot:
-    """LM: a focus that rests at places step_m apart, there and back through the same ones, as path `lm` has it."""
+    """Return LM: a focus that rests at positions step_m apart, there and back, like path `lm`."""
     steps = round(width_m / step_m)
     there = np.linspace(-0.5 * width_m, 0.5 * width_m, steps + 1)
     x = np.concatenate([there, there[-2:0:-1]])
@@ -104,7 +107,7 @@ def to_and_fro(width_m: float, step_m: float) -> RepeatedSpot:
 def level_map(
     observer: Observer, depth_m: float, spots: Sequence[RepeatedSpot], rate_Hz: float, least_Hz: float = 0.0
 ) -> Float:
-    """Level at each place of the layer's grid [dB SL], shape (cells, cells), of lines from least_Hz to HIGHEST_Hz."""
+    """Return the level at the layer's grid [dB SL], shape (cells, cells), of lines from least_Hz to HIGHEST_Hz."""
     last = min(HIGHEST_Hz, observer.frequency_Hz[-1])
     orders = [
         n for n in range(1, math.floor(last / rate_Hz) + 1) if n * rate_Hz >= max(least_Hz, observer.frequency_Hz[0])
@@ -121,7 +124,7 @@ def level_map(
 
 @lru_cache(maxsize=64)
 def _amplitudes(spots: tuple[tuple[bytes, bytes], ...], depth_m: float, rate_Hz: float) -> Float32:
-    """Peak amplitudes of all lines up to HIGHEST_Hz, which the observers share [m/Pa], shape (n, cells, cells)."""
+    """Return peak amplitudes of all lines up to HIGHEST_Hz, for all observers [m/Pa], shape (n, cells, cells)."""
     pressed = [
         RepeatedSpot(np.frombuffer(centres).reshape(-1, 2), np.frombuffer(peaks), FWHM_M) for centres, peaks in spots
     ]
@@ -135,7 +138,7 @@ def _amplitudes(spots: tuple[tuple[bytes, bytes], ...], depth_m: float, rate_Hz:
 def strength(
     observer: Observer, depth_m: float, spots: Sequence[RepeatedSpot], rate_Hz: float, least_Hz: float = 0.0
 ) -> float:
-    """The highest level on the skin [dB SL per Pa]."""
+    """Return the highest level on the skin [dB SL per Pa]."""
     return float(level_map(observer, depth_m, spots, rate_Hz, least_Hz).max())
 
 
@@ -144,7 +147,7 @@ CIRCUMFERENCES_M = (0.10, 0.15, 0.20)
 
 
 def best_speed(observer: Observer, depth_m: float) -> float:
-    """Mean over three circles of the speed of the highest level [m/s]."""
+    """Return the mean over three circles of the speed with the highest level [m/s]."""
     return float(np.mean([_best_speed(observer, depth_m, length) for length in CIRCUMFERENCES_M]))
 
 
@@ -154,7 +157,7 @@ def _best_speed(observer: Observer, depth_m: float, length_m: float) -> float:
 
 
 def gap_mm(observer: Observer, depth_m: float) -> float:
-    """Least spacing of two spots under AM of 200 Hz in phase from which on the dip between them is DIP_dB [mm]."""
+    """Return the least spacing of two spots with in-phase AM of 200 Hz at which the dip is DIP_dB [mm]."""
     spacings = np.arange(5.0, 61.0, 1.0)
     deep = [dip_dB(observer, depth_m, 1e-3 * spacing) >= DIP_dB for spacing in spacings]
     shallow = [i for i, one in enumerate(deep) if not one]
@@ -163,7 +166,7 @@ def gap_mm(observer: Observer, depth_m: float) -> float:
 
 
 def dip_dB(observer: Observer, depth_m: float, spacing_m: float) -> float:
-    """By how much the lowest level on the line between two spots lies below the higher of their centres' [dB]."""
+    """Return the lowest level on the line between two spots, below the higher of their centres' [dB]."""
     half = 0.5 * spacing_m
     levels = level_map(observer, depth_m, [pressure_am((-half, 0.0)), pressure_am((half, 0.0))], 200.0)
     places, middle = layer(depth_m).places(), levels.shape[0] // 2
@@ -172,7 +175,7 @@ def dip_dB(observer: Observer, depth_m: float, spacing_m: float) -> float:
 
 
 def fine_step_dB(observer: Observer, depth_m: float) -> float:
-    """Level of the lines from 40 Hz on of LM at 10 Hz on 6 mm, steps of 0.2 mm less steps of 2 mm [dB]."""
+    """Return the level from 40 Hz of LM at 10 Hz on 6 mm, with steps of 0.2 mm minus steps of 2 mm [dB]."""
     fine, coarse = (
         strength(observer, depth_m, [to_and_fro(0.006, step)], 10.0, PACINIAN_Hz) for step in (0.0002, 0.002)
     )
@@ -184,7 +187,7 @@ LM_RADIUS_M = 0.003
 
 
 def lm_over_am_dB(observer: Observer, depth_m: float) -> float:
-    """The least, over four rates, of the level of a circle of 3 mm radius less that of pressure AM [dB]."""
+    """Return the least level over four rates of a circle of 3 mm radius, minus that of pressure AM [dB]."""
     moving = circle(2.0 * math.pi * LM_RADIUS_M)
     return min(
         strength(observer, depth_m, [moving], rate) - strength(observer, depth_m, [pressure_am()], rate)
@@ -196,7 +199,7 @@ POINTS = (4, 8, 16, 32, 64, 128, 256)
 
 
 def coarse_sampling_dB(observer: Observer, depth_m: float) -> float:
-    """By how much the best number of points a turn beats the most, at 5 turns a second, less that at 50 [dB]."""
+    """Return the best number of points per turn over the largest, in level at 5 turns/s minus that at 50 [dB]."""
     gains = []
     for rate in (5.0, 50.0):
         levels = [strength(observer, depth_m, [circle(0.2, points)], rate) for points in POINTS]
@@ -208,22 +211,22 @@ TURNS_Hz = (2.0, 5.0, 8.0, 11.0, 14.0, 17.0)
 
 
 def faster_dB(observer: Observer, depth_m: float) -> float:
-    """The least rise of the level from one of six rates of turns to the next, 2 to 17 Hz, circle of 12 cm [dB]."""
+    """Return the least rise of the level between successive rates of six, 2 to 17 Hz, circle of 12 cm [dB]."""
     levels = [strength(observer, depth_m, [circle(0.12)], rate) for rate in TURNS_Hz]
     return float(np.diff(levels).min())
 
 
 def more_foci_dB(observer: Observer, depth_m: float) -> float:
-    """Level of four foci of a quarter of the ARP each on a circle of 20 cm at 7 m/s, less that of one [dB]."""
+    """Return the level of four foci with a quarter of the ARP, minus that of one; 20 cm circle, 7 m/s [dB]."""
     four = [circle(0.2, HELD, 0.25 * number, 0.25) for number in range(4)]
     return strength(observer, depth_m, four, 7.0 / 0.2) - strength(observer, depth_m, [circle(0.2)], 7.0 / 0.2)
 
 
 def pointer_contrast_dB(observer: Observer, depth_m: float) -> float:
-    """Level on the path less that of the mean energy within half its radius, circle of 16 cm: of a 200 Hz pointer that
-    hardly moves, less that of an outline drawn 100 times a second [dB].
+    """Return the contrast of a 200 Hz pointer minus that of an outline drawn 100 times per second [dB].
 
-    The very middle would say nothing: there all lines of a circle vanish, by symmetry.
+    The contrast is the level on the path minus that of the mean energy within half its radius, on a circle of 16 cm;
+    the pointer moves slowly. The exact middle is not used: by symmetry all lines of a circle vanish there.
     """
     radius = 0.16 / (2.0 * math.pi)
     places = layer(depth_m).places()
@@ -284,7 +287,7 @@ FINDINGS = (
 
 
 def predicted(finding: Finding, depths_m: Sequence[float] = DEPTHS_M) -> dict[str, dict[str, float | None]]:
-    """Sizes by depth [mm] and observer; None where the observer has no value."""
+    """Return sizes by depth [mm] and observer; None if the observer has no value."""
     sizes: dict[str, dict[str, float | None]] = {}
     for depth in depths_m:
         row = {name: finding.size(observer, depth) for name, observer in OBSERVERS.items()}
@@ -293,6 +296,6 @@ def predicted(finding: Finding, depths_m: Sequence[float] = DEPTHS_M) -> dict[st
 
 
 def agreement(finding: Finding, sizes: dict[str, dict[str, float | None]]) -> tuple[int, int]:
-    """How many of the sizes have the claim's direction, and how many there are."""
+    """Return how many sizes have the direction of the claim, and their number."""
     values = [value for row in sizes.values() for value in row.values() if value is not None]
     return sum(finding.holds(value) for value in values), len(values)

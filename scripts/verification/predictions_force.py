@@ -1,8 +1,8 @@
-"""What a plate in the focus weighs, relative to the usual formula: the law of radiation force, for laboratories.
+"""Predict the force on a plate in the focus relative to the usual formula, for laboratories.
 
-Measured are the pressure in the focus without the plate, by a small microphone, and the force on a plate there, by a
-scale. The formula says 2 p_rms^2/(rho c^2), integrated over the plate. `python scripts/verification/predictions.py`
-writes the page.
+A laboratory measures the pressure in the focus without the plate, by a small microphone, and the force on a plate
+there, by a scale. The formula is 2 p_rms^2/(rho c^2), integrated over the plate. `python
+scripts/verification/predictions.py` writes the page.
 """
 
 from dataclasses import dataclass
@@ -23,21 +23,21 @@ LAYOUTS = ("uhev1", "autd2018_2x2")
 DEPTHS_M = (0.1, 0.2, 0.3)
 PLATES_M = (0.012, 0.2, 0.4)
 LEVELS = (0.25, 0.5, 1.0)
-"""Amplitudes of the drive, of full."""
+"""Amplitudes of the drive relative to full."""
 FRINGE_PLACES = 8
-"""Places of the plate within half a wavelength, over which the fringe is followed."""
+"""Number of plate positions within half a wavelength, to sample the fringe."""
 SPACING_M, FRINGE_SPACING_M = 2e-3, 4e-3
 SMALL_SPACINGS = 24
-"""Of places on a small plate's edge."""
+"""Number of spacings on the edge of a small plate."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One array, depth and plate: force [N] at full drive and at p0 of the layout, by the law and by the formula.
+    """Force [N] on a plate by the law and by the formula, at full drive and p0 of the layout.
 
-    coarser: the ratio of both from places twice as far apart; fringe: largest less smallest force while the plate moves
-    by half a wavelength and the array's face reflects like a wall, over the mean; fringe_mean: that mean over the force
-    without echoes; sigma: steepening of the beam at full drive
+    coarser: the ratio of both with a doubled spacing; fringe: largest minus smallest force over the mean, while the
+    plate moves by half a wavelength and the face of the array reflects like a wall; fringe_mean: that mean over the
+    force without echoes; sigma: steepening of the beam at full drive
     """
 
     layout: str
@@ -52,11 +52,11 @@ class Case:
 
     @property
     def ratio(self) -> float:
-        """Force by the law over that by the formula, of sound that doesn't steepen."""
+        """Return the force by the law over that by the formula, without nonlinear steepening."""
         return self.force_N / self.formula_N
 
     def as_measured(self, level: float) -> float | None:
-        """The ratio where the formula takes the fundamental that a microphone reads; None beyond sigma 1."""
+        """Return the ratio if the formula uses the fundamental of the microphone; None above sigma 1."""
         sigma = level * self.sigma
         return None if sigma > 1.0 else self.ratio * arp_left(sigma) / fundamental_left(sigma) ** 2
 
@@ -91,7 +91,7 @@ def _force(
     images: int = 0,
     spacing_m: float = SPACING_M,
 ) -> tuple[float, float]:
-    """On a square plate in the plane of the focus [N], and from places twice as far apart; with so many echoes."""
+    """Return the force on a square plate in the focal plane [N], also with doubled spacing; `images` echoes."""
 
     def arp_at(points: Float, normals: Float) -> Float:
         incident = field.pressure(points, drive, gradient=True)

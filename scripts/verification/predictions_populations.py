@@ -35,11 +35,11 @@ NUMBERS = "predictions_populations.json"
 DEPTHS_M = (*felt.DEPTHS_M, felt.NO_WAVES)
 STEP_S = 1.25e-4
 HAND_M = 0.07
-"""Half of the edge of the square of skin with afferents."""
+"""Half edge of the square of skin with afferents."""
 PLACES = 2000
-"""Places whose courses are computed together."""
+"""Number of places whose time courses are computed together."""
 HELD_N, FELT_N = 0.027, 0.21
-"""Force of the sound, and force that felt the same, in the finding on steady pressure."""
+"""Force of the sound, and the force of equal sensation, in the finding on steady pressure."""
 
 
 Key = tuple[tuple[bytes, bytes], ...]
@@ -67,7 +67,7 @@ def motion_lines(ending_m: float, strain: bool, depth_m: float, spots: Key, rate
 
 
 def near() -> NDArray[np.bool_]:
-    """Return which places of the grid have afferents, (cells, cells): a square of the size of a hand."""
+    """Return which grid points have afferents, (cells, cells): a square of the size of a hand."""
     inside = np.abs(felt.layer(felt.DEPTHS_M[0]).places()) < HAND_M
     return inside[:, None] & inside
 
@@ -104,12 +104,12 @@ def unit_levels(name: str, depth_m: float, spots: Sequence[RepeatedSpot], rate_H
 
 
 def classes_of(least_Hz: float) -> tuple[str, ...]:
-    """Return the classes that count; what vibrates from 40 Hz on is felt by PC."""
+    """Return the classes that count; vibration from 40 Hz on is that of PC."""
     return ("pc",) if least_Hz >= felt.PACINIAN_Hz else tuple(AFFERENTS)
 
 
 def strength(_: Any, depth_m: float, spots: Sequence[RepeatedSpot], rate_Hz: float, least_Hz: float = 0.0) -> float:
-    """Return the level of the population [dB SL per Pa], as `predictions_felt.strength` that of an observer."""
+    """Return the level of the population [dB SL per Pa], like `predictions_felt.strength` for an observer."""
     cell_cm2 = 1e4 * (felt.layer(felt.DEPTHS_M[0]).span_m / felt.layer(felt.DEPTHS_M[0]).cells) ** 2
     found = []
     for name in classes_of(least_Hz):

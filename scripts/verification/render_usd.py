@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Render a run's USD scene with Blender's path tracer Cycles, as a user who opens it there would see it.
+"""Render a run's USD scene with Blender's path tracer Cycles, as in a user's Blender.
 
 In an environment of Python 3.13 with `pip install bpy numpy` (Blender as a module, 430 MB; palmfield is not needed):
 
     python scripts/verification/render_usd.py out/demo/scene.usdc out/scene_cycles.png --frame 40
 
-Prints the frame rate that Blender reads, and the mean and the darkest and lightest tenths of the picture's pixels:
-a scene lit as in a viewport has a mean between 0.2 and 0.8.
+It prints the frame rate in Blender, and the mean and the darkest and lightest tenths of the pixels: the mean of a scene
+with the light of a viewport is between 0.2 and 0.8.
 """
 
 import argparse

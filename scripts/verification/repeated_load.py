@@ -1,7 +1,7 @@
-"""Steady motion of an endless flat layer under a spot that goes round again and again: its lines, exact in frequency.
+"""Compute the steady motion of an infinite flat layer under a periodic spot by its lines, exact in frequency.
 
-A load that repeats with period T has lines at n/T. Each is a pattern of pressure, whose waves the layer's compliance
-(`layer_oracle`) turns into motion. The layer repeats itself after `span_m` both ways, far enough for waves to die out.
+A load with period T has lines at n/T. Each is a pattern of pressure, which the compliance of the layer (`layer_oracle`)
+converts into motion. The layer is periodic with `span_m` in both directions, far enough for waves to decay.
 """
 
 import math
@@ -18,14 +18,14 @@ from palmfield.skin.materials.material import Material
 from palmfield.types import Complex, Float
 
 TABLE = 400
-"""Wavenumbers at which the compliance is computed; between them it is a cubic."""
+"""Wavenumbers of the computed compliance; between them a cubic interpolates."""
 NEAR_M = 1e-5
-"""Half of the distance of the two depths whose difference gives a compression [m]."""
+"""Half of the distance of the two depths whose difference is used for a compression [m]."""
 
 
 @dataclass(frozen=True)
 class RepeatedSpot:
-    """A Gaussian spot, each place and pressure held for one of equal parts of a period.
+    """A Gaussian spot; each position and pressure lasts for one of equal parts of a period.
 
     centres_m: shape (p, 2) [m]; peak_Pa: peak pressure at each [Pa], shape (p,); fwhm_m: full width at half maximum [m]
     Raises SceneError for other shapes, and a width that is not above 0.
@@ -48,9 +48,9 @@ class RepeatedSpot:
 
 @dataclass(frozen=True)
 class FlatLayer:
-    """An endless layer bonded to bone, of which a square is looked at.
+    """An infinite layer bonded to bone, evaluated on a square.
 
-    span_m: period of the square [m]; cells: places along it, span_m / cells apart
+    span_m: period of the square [m]; cells: number of points along it, span_m / cells apart
     """
 
     material: Material
@@ -59,7 +59,7 @@ class FlatLayer:
     cells: int = 160
 
     def places(self) -> Float:
-        """Coordinates of the grid along x and along y [m], shape (cells,), with 0 among them."""
+        """Return the coordinates of the grid along x and along y [m], shape (cells,), including 0."""
         return np.asarray((np.arange(self.cells) - self.cells // 2) * (self.span_m / self.cells), dtype=float)
 
     def lines(
@@ -70,11 +70,11 @@ class FlatLayer:
         depth_m: float = 0.0,
         compression: bool = False,
     ) -> Complex:
-        """Displacement into the layer at the lines of some orders [m], shape (n, cells, cells), x along the last axis.
+        """Return the displacement into the layer at lines of some orders [m], shape (n, cells, cells), x last.
 
-        Complex peak amplitudes, under e^{-iwt}, at `places`; of order 0 the mean. spots: that press at once, all with
-        the period 1/rate_Hz. depth_m: below the surface. compression: the compression along the normal instead
-        Raises SceneError for orders below 0, and a rate that is not above 0.
+        Complex peak amplitudes for e^{-iwt} at `places`; order 0 is the mean. spots: simultaneous spots, all with the
+        period 1/rate_Hz. depth_m: below the surface. compression: the compression along the normal instead Raises
+        SceneError for orders below 0, and a rate that is not above 0.
         """
         if not rate_Hz > 0.0 or min(orders) < 0:
             raise SceneError(f"rate_Hz {rate_Hz}, orders {list(orders)}; allowed: above 0, and orders of 0 or more")
@@ -97,7 +97,7 @@ class FlatLayer:
 
 
 def transform(spot: RepeatedSpot, orders: Sequence[int]) -> Complex:
-    """Return the lines of the pressure at each place of a spot [Pa], shape (n, p); of order 0 the mean."""
+    """Return the lines of the pressure at each position of a spot [Pa], shape (n, p); order 0 is the mean."""
     count = len(spot.peak_Pa)
     number = np.asarray(orders, dtype=float)[:, None]
     edges = np.exp(2j * math.pi * number * np.arange(count + 1) / count)
@@ -107,7 +107,7 @@ def transform(spot: RepeatedSpot, orders: Sequence[int]) -> Complex:
 
 
 def _over_face(spot: RepeatedSpot, k: Float, length: Float, orders: Sequence[int]) -> Complex:
-    """Of the pressure's lines over the face [Pa m2], shape (n, cells, cells)."""
+    """Return the lines of the pressure transformed over the face [Pa m2], shape (n, cells, cells)."""
     along_x, along_y = (np.exp(-1j * np.outer(spot.centres_m[:, axis], k)) for axis in (0, 1))
     at_places = (along_y[:, :, None] * along_x[:, None, :]).reshape(len(along_x), -1)
     waves = (transform(spot, orders) @ at_places).reshape(-1, *length.shape)

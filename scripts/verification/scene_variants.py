@@ -1,7 +1,7 @@
-"""The same scene written in another way: moved, turned, mirrored, in another order, louder, with its arrays from files.
+"""Equivalent forms of a scene: moved, rotated, mirrored, in another order, louder, with arrays from files.
 
-A variant is a scene's file and the keys that it is opened with. What it shows has to be the scene's own, up to what
-the variant says of it: `Variant.factor`, `Variant.turn` and `Variant.mirror`.
+A variant is a scene file and the keys with which it is opened. Its results must be those of the scene, except for the
+transformation by `Variant.factor`, `Variant.turn` and `Variant.mirror`.
 """
 
 import copy
@@ -26,16 +26,16 @@ SCENES = sorted(p.stem for p in (MJCF / "scenes").glob("*.xml") if not p.stem.st
 OTHER_HAND = {"open_men_p50": "open_men_p50_left", "open_men_p50_left": "open_men_p50"}
 TURNED = "_turned"
 START_s = {"tap_button": 0.127, "approach_withdraw": 0.1, "two_hands": 0.05}
-"""When a scene's hand is where it feels something, if not a quarter of its time after the beginning."""
+"""Times at which sound reaches the hand of a scene, if not a quarter of its duration after the start."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """path: of the scene; keys: it is opened with; worlds: how many at once, None for one by itself
+    """A form of a scene. path: scene file; keys: its keys; worlds: number of worlds, None for a single simulation
 
-    world: which of them is shown; turn, shift: of the world, x -> turn x + shift [m]; mirror: signs of the coordinates
-    before that; factor: of ARP, force and motion; substeps: steps in one of the scene's own
-    truth: keys with which the scene itself shows the same
+    world: evaluated world; turn, shift: of the world, x -> turn x + shift [m]; mirror: signs of the coordinates before
+        that; factor: of ARP, force and motion; substeps: steps per step of the scene truth: keys with which the scene
+        itself has the same results
     """
 
     path: Path
@@ -52,10 +52,10 @@ class Variant:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a scene shows after each step. forces: name -> force on each, (t, 3); skins: name -> field -> (t, ...)
+    """Results of a scene after each step. forces: name -> force on each, (t, 3); skins: name -> field -> (t, ...)
 
-    rest: name -> surface nodes [m], (s, 3); accuracy: the scene's key, the smallest
-    stated: relative error of displacement that modes and small models state, the smallest; without them the accuracy
+    rest: name -> surface nodes [m], (s, 3); accuracy: the smallest key of the scene stated: smallest error estimate of
+        displacement by modes and small models; without them the accuracy
     """
 
     forces: Mapping[str, Float]
@@ -73,9 +73,9 @@ def scene_file(name: str) -> Path:
 
 
 def expanded(path: Path, axis: int | None = None) -> ET.Element:
-    """A scene with what it includes in place, and all its files by their whole names.
+    """Return a scene with its included files inserted, and all files by absolute paths.
 
-    axis: that changes its sign: hands are the other ones, and what the scene places stands on the other side; arrays
+    axis: axis whose sign changes: the hands are the opposite ones, and the positions of the scene are mirrored; arrays
     are their own mirror images
     """
     hand_or_array = path.parent.name in ("hands", "arrays")
@@ -95,7 +95,7 @@ def expanded(path: Path, axis: int | None = None) -> ET.Element:
 
 
 def other_hand(path: Path) -> Path:
-    """The left hand's file for that of a right hand and the other way round; any other as it is."""
+    """Return the left hand's file for that of a right hand, and the converse; other files unchanged."""
     other = path.stem.removesuffix("_left") if path.stem.endswith("_left") else path.stem + "_left"
     return path.with_name(f"{other}.xml") if path.parent.name == "hands" else path
 
@@ -112,7 +112,7 @@ def mirror_pose(element: ET.Element, axis: int) -> None:
 
 
 def signs(axis: int) -> Float:
-    """Of the coordinates: that of one axis changes."""
+    """Return the signs of the coordinates: that of one axis changes."""
     return np.where(np.arange(3) == axis, -1.0, 1.0)
 
 
@@ -151,7 +151,7 @@ def written(root: ET.Element, folder: Path, name: str) -> Path:
 def change_keyframes(
     root: ET.Element, folder: Path, change: Callable[[Float, Rotation], tuple[Float, Rotation]]
 ) -> None:
-    """Poses of scripted hands, by a function of position and orientation."""
+    """Change poses of scripted hands by a function of position and orientation."""
     for instance in instances(root, "motion"):
         name = key(instance, "keyframes")
         if name is None:
@@ -180,12 +180,12 @@ def change_keyframes(
 
 
 def plain(name: str, folder: Path) -> Variant:
-    """The scene itself, in one file."""
+    """Return the scene itself, in one file."""
     return Variant(written(expanded(scene_file(name)), folder, name))
 
 
 def moved(name: str, folder: Path, turn: Rotation, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Variant:
-    """All that stands in the world, gravity and the scripted motions turned and then shifted."""
+    """Rotate and then shift all objects in the world, gravity and the scripted motions."""
     root = expanded(scene_file(name))
     for world in root.findall("worldbody"):
         children = list(world)
@@ -202,10 +202,11 @@ def moved(name: str, folder: Path, turn: Rotation, shift: tuple[float, float, fl
 
 
 def mirrored(name: str, folder: Path) -> Variant:
-    """Left and right exchanged, or front and back where there is no hand: the rings of a disc's mesh have that mirror.
+    """Exchange left and right, or front and back without a hand: the mesh rings of a disc have that symmetry.
 
-    A path runs in the x-y plane of its frame, and a frame can be turned but not mirrored: turned by half a turn about
-    the other axis it has one axis the other way round, and z too, which the foci's third coordinates make good.
+    A path runs in the x-y plane of its frame, and a frame can be rotated but not mirrored. After a half turn about the
+    other axis one of its axes has the opposite direction, and so has z, which the third coordinates of the foci
+    correct.
     """
     axis = 0 if 'hand"' in scene_file(name).read_text() else 1
     root = expanded(scene_file(name), axis)
@@ -239,7 +240,7 @@ def mirrored(name: str, folder: Path) -> Variant:
 
 
 def mirror_path_on_skin(instance: ET.Element) -> None:
-    """On skin the path's y is to the left of its x, seen from outside, on both hands: here y changes its sign."""
+    """Change the sign of y: on skin, y of a path is to the left of its x, seen from outside, on both hands."""
     if key(instance, "path") != "z":
         raise NotImplementedError(f"path {key(instance, 'path')} on skin")
     x, y = (0.5 * float(key(instance, f"path_{side}_m") or "nan") for side in ("width", "height"))
@@ -251,7 +252,7 @@ def mirror_path_on_skin(instance: ET.Element) -> None:
 
 
 def add_turned_sites(root: ET.Element, axis: int) -> None:
-    """Beside each site one whose frame is turned by half a turn about an axis of its own."""
+    """Add to each site one whose frame is rotated by half a turn about one of its own axes."""
     half = Rotation.from_rotvec(math.pi * np.eye(3)[axis])
     for parent in list(root.iter()):
         for site in parent.findall("site"):
@@ -263,7 +264,7 @@ def add_turned_sites(root: ET.Element, axis: int) -> None:
 
 
 def reordered(name: str, folder: Path) -> Variant:
-    """Plugins, their instances and sensors the other way round."""
+    """Reverse the order of plugins, their instances and sensors."""
     root = expanded(scene_file(name))
     for parent in [*root.findall("extension"), *root.findall("extension/plugin"), *root.findall("sensor")]:
         parent[:] = reversed(list(parent))
@@ -271,7 +272,7 @@ def reordered(name: str, folder: Path) -> Variant:
 
 
 def from_file(name: str, folder: Path, reverse: bool = False) -> Variant:
-    """The same transducers from a file, in the layout's order or the other way round."""
+    """Return the same transducers from a file, in the order of the layout or reversed."""
     root = expanded(scene_file(name))
     for instance in instances(root, "array"):
         known = layout(key(instance, "layout"))
@@ -293,7 +294,7 @@ def from_file(name: str, folder: Path, reverse: bool = False) -> Variant:
 
 
 def louder(name: str, folder: Path) -> Variant:
-    """p0 doubled: four times the ARP, the force and the motion, but where the stimulus says how loud it is."""
+    """Double p0: ARP, force and motion are four times as large, unless the stimulus sets the level."""
     root = expanded(scene_file(name))
     keys = {f"{i.get('name')}.p0_Pa_m": 2.0 * layout(key(i, "layout")).p0_Pa_m for i in instances(root, "array")}
     level = any(key(i, "arp_peak_Pa") for i in instances(root, "stimulus"))
@@ -301,7 +302,7 @@ def louder(name: str, folder: Path) -> Variant:
 
 
 def finer(name: str, folder: Path) -> Variant:
-    """MuJoCo's step halved."""
+    """Halve the step of MuJoCo."""
     root = expanded(scene_file(name))
     options = [o for o in root.findall("option") if o.get("timestep")] or [ET.SubElement(root, "option")]
     for option in options:
@@ -310,7 +311,7 @@ def finer(name: str, folder: Path) -> Variant:
 
 
 def in_two_worlds(name: str, folder: Path, world: int) -> Variant:
-    """One of two worlds: the scene's own, and one whose stimuli are 2 mm beside, or slower where sites say the way."""
+    """Return one of two worlds: the scene itself, or one with stimuli shifted by 2 mm, or slower on site paths."""
     root = expanded(scene_file(name))
     keys: dict[str, list[object]] = {}
     for instance in instances(root, "stimulus"):
@@ -326,7 +327,7 @@ def in_two_worlds(name: str, folder: Path, world: int) -> Variant:
 
 QUARTER = Rotation.from_rotvec([0.0, 0.0, 0.5 * math.pi])
 AXES = Rotation.from_matrix(np.eye(3)[[2, 0, 1]])
-"""x to y, y to z, z to x."""
+"""Permutation of axes: x to y, y to z, z to x."""
 SKEW = Rotation.from_rotvec([0.4, -0.7, 1.1])
 VARIANTS: dict[str, Callable[[str, Path], Variant]] = {
     "shifted": lambda name, folder: moved(name, folder, Rotation.identity(), (0.31, -0.17, 0.23)),
@@ -345,7 +346,7 @@ VARIANTS: dict[str, Callable[[str, Path], Variant]] = {
 
 
 def variants(name: str) -> list[str]:
-    """Those that a scene has: a board that drives one layout only refuses a file."""
+    """Return the variants of a scene: a board for one layout refuses only a file."""
     ideal = 'key="board" value="ideal"' in scene_file(name).read_text()
     return [words for words in VARIANTS if ideal or not words.startswith("from a file")]
 
@@ -358,12 +359,12 @@ def start_s(name: str, duration_s: float) -> float:
 
 
 def seen(variant: Variant, name: str, steps: int, keys: Mapping[str, object] | None = None) -> Seen:
-    """What a variant shows after each of the scene's steps, said as the scene itself has it."""
+    """Return the results of a variant after each step of the scene, in the scene's own frame."""
     return seen_worlds(variant, name, steps, keys)[variant.world]
 
 
 def seen_worlds(variant: Variant, name: str, steps: int, keys: Mapping[str, object] | None = None) -> list[Seen]:
-    """What each of a variant's worlds shows, see `seen`; one for a variant by itself."""
+    """Return the results of each world of a variant, see `seen`; one for a single simulation."""
     sim = Simulation(variant.path, device="cpu", worlds=variant.worlds, keys={**(keys or {}), **variant.keys})
     begin = start_s(name, sim.duration_s)
     sim.start_at(begin)
@@ -396,7 +397,7 @@ def seen_worlds(variant: Variant, name: str, steps: int, keys: Mapping[str, obje
 def _in_own_terms(
     variant: Variant, sim: Simulation, runtime: SceneRuntime, forces: Float, fields: Mapping[str, Mapping[str, Float]]
 ) -> Seen:
-    """Forces (t, bodies, 3) and fields (t, ...) of one world, as the scene itself has them."""
+    """Return forces (t, bodies, 3) and fields (t, ...) of one world, in the scene's own frame."""
     mirror, back = variant.mirror, variant.turn.inv()
     skins = {}
     for one, rows in fields.items():
@@ -418,10 +419,10 @@ def _in_own_terms(
 
 
 def changes(found: Seen, truth: Seen) -> dict[str, float]:
-    """The largest relative change of each field over skins (ARP, displacement, velocity) and bodies (force).
+    """Return the largest relative change of each field over skins (ARP, displacement, velocity) and bodies (force).
 
-    Nodes are compared one by one, whatever their order. `mesh` is the share of nodes that lie elsewhere and are not
-    compared; of positions the change is in metres.
+    Nodes are compared one by one, whatever their order. `mesh` is the share of nodes at other positions, which are not
+    compared; changes of positions are in metres.
     """
     result = dict.fromkeys(("mesh", "position", "ARP", "force", "displacement", "velocity"), 0.0)
     for one, fields in truth.skins.items():
@@ -448,19 +449,19 @@ def relative(gap: Float, rows: Float | float) -> float:
 
 
 LIMITS = {"ARP": 1e-5, "force": 1e-5, "position": 1e-7}
-"""Relative, positions in metres: rounding of what is computed in single precision."""
+"""Limits, relative, for positions in metres: rounding of single precision."""
 PUSHED = {"ARP": 1e-4, "force": 1e-4, "position": 1e-5}
-"""Where p0 doubles: the sound moves the bodies that feel it."""
+"""Larger limits with doubled p0, because the sound moves the bodies."""
 SHARE = 0.1
-"""Of the error that is stated for the displacement: the most by which it may depend on how a scene is written."""
+"""Largest change by an equivalent form, as a share of the error estimate of the displacement."""
 BY_AXIS = {("follow_fingertip", "turned and shifted")}
-"""Motions whose course between their keys depends on the file's axes."""
+"""Motions whose course between their keys depends on the axes of the file."""
 
 
 def exceeded(name: str, variant: str, row: Mapping[str, float], truth: Seen) -> str:
-    """Which limits a variant's changes exceed, in words; empty for none.
+    """Return the limits that a variant's changes exceed, in words; empty for none.
 
-    Where nodes lie elsewhere the mesh has its part in the displacement, and its error is meant by the accuracy.
+    If nodes have other positions, the mesh affects the displacement; its error is bounded by the accuracy.
     """
     limits = PUSHED if variant == "p0 x 2" else LIMITS
     limits = limits | {"displacement": SHARE * (truth.accuracy if row["mesh"] else truth.stated), "mesh": 0.05}

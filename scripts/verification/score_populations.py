@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Compare the committed predictions by populations with what was published: docs/gallery/predictions_populations.md.
+"""Compare committed predictions by populations with findings: docs/gallery/predictions_populations.md.
 
 python scripts/verification/score_populations.py [--out docs/gallery]
 

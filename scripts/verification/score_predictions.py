@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The committed predictions of findings against what was published: docs/gallery/predictions_score.md.
+"""Compare the committed predictions with the published findings: docs/gallery/predictions_score.md.
 
 python scripts/verification/score_predictions.py [--out docs/gallery]
 python scripts/verification/score_predictions.py --no-waves     # computes the skin without waves first, 1 minute
@@ -52,13 +52,16 @@ How much that says:
   attention or of pressure that is steady.
 """
 LIKELY, UNLIKELY = 5, 1
-"""Answers of six that have the claim's direction: so many or more predict it, so many or fewer deny it."""
+"""Numbers of answers, of six, with the direction of the claim: from the first on "yes", up to the second "no"."""
 FACTOR, LEVEL_dB = 1.5, 3.0
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was published. holds: whether the claim's direction came out; size: in the prediction's unit, or None"""
+    """A published finding.
+
+    holds: whether it has the direction of the claim; size: in the unit of the prediction, or None
+    """
 
     source: str
     text: str
@@ -108,13 +111,13 @@ OUTCOMES = {
 
 
 def predicted(finding: dict[str, Any]) -> str:
-    """yes, no or split: whether the answers have the claim's direction."""
+    """Return yes, no or split: whether the answers have the direction of the claim."""
     count = finding["with_the_claim"] * 6 / finding["of"]
     return "yes" if count >= LIKELY else "no" if count <= UNLIKELY else "split"
 
 
 def median(finding: dict[str, Any]) -> float:
-    """Of all answers that there are."""
+    """Return the median of all available answers."""
     return statistics.median(value for row in finding["sizes"].values() for value in row.values() if value is not None)
 
 
@@ -130,7 +133,7 @@ def size_text(finding: dict[str, Any], outcome: Outcome) -> str:
 
 
 def no_waves() -> list[dict[str, Any]]:
-    """The findings as a skin without waves predicts them, in the form of predictions.json."""
+    """Return the predictions by a skin without waves, in the form of predictions.json."""
     found = []
     for finding in felt.FINDINGS:
         sizes = felt.predicted(finding, (felt.NO_WAVES,))

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Cases that went wrong without a word at commit f6cb3e2, as readers found them, and what becomes of each now.
+"""Cases with wrong results and no message at commit f6cb3e2, found by readers, and their present results.
 
 python scripts/verification/seen_cases.py [--only PART] [--write docs/bench/seen_cases.md] [--commit HASH]
 
-Each case is run; what its table says of now comes from that run. Truths are of a tenth of the accuracy that was asked
-for, or finer, by another solver where the case allows it; tests of each case hold it against independent truths.
+Each case is run, and its present result in the table is from that run. References have a tenth of the target accuracy,
+or less, and use another solver if possible. A test compares each case with independent references.
 """
 
 import argparse
@@ -41,7 +41,7 @@ STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "a
 
 
 class Case(NamedTuple):
-    """part: of the page; what: the case; before: at f6cb3e2; now: runs it and says what comes out"""
+    """A case. part: of the page; what: description; before: result at f6cb3e2; now: runs it and describes the result"""
 
     part: str
     what: str
@@ -58,7 +58,7 @@ def disc(side: str, height: float = 0.02) -> Slab:
 
 
 def off(motion: Motion, reference: Motion, field: str = "displacement_m") -> float:
-    """True error: relative L2 over the times at the worst point."""
+    """Return the true error: relative L2 over the times at the worst point."""
     a, b = getattr(motion, field), getattr(reference, field)
     return float((np.linalg.norm(a - b, axis=(0, 2)) / np.linalg.norm(b, axis=(0, 2))).max())
 
@@ -140,7 +140,7 @@ def am_in_the_plan() -> str:
 
 
 def table(*line: str) -> dict[str, str]:
-    """What a command prints as a table: its first column's words, and the rest of the row in one line."""
+    """Return the table that a command prints: words of the first column, and the rest of each row in one line."""
     output = io.StringIO()
     sys.argv = ["palmfield", *line]
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(io.StringIO()), contextlib.suppress(SystemExit):
@@ -172,7 +172,7 @@ def hidden_focus() -> str:
 
 @contextlib.contextmanager
 def scene(old: str = "", new: str = "", **changes: dict[str, object]) -> Iterator[Path]:
-    """A small scene in a folder of its own; old, new: a change of its text."""
+    """Return a small scene in its own folder; old, new: a change of its text."""
     with tempfile.TemporaryDirectory() as folder:
         plain, haptic = small_scene_texts(**changes)
         assert old in haptic
@@ -267,7 +267,7 @@ BEFORE = {
     "webxr.glb": TORN, "openxr.glb": TORN, "quads.obj": "the wrist cannot be closed", "crossed.ply": "layers that fold",
     **dict.fromkeys(("bottle.ply", "ring.ply", "fork.ply"), "accepted as a hand"),
 }  # fmt: skip
-"""What readers found of a mesh with the habit."""
+"""Former results for meshes with this property."""
 CASES = (
     Case(
         "Numbers",
@@ -343,13 +343,13 @@ WHOLE = ("Numbers", "Physics")
 
 
 def verdict(now: str) -> str:
-    """What became of a case, without the words of the message."""
+    """Return the result of a case without the words of the message."""
     found = re.match(r"refused before it is examined|refused|warned|exit \d+|accepted with doubts", now)
     return found[0] if found else now
 
 
 def page(rows: list[tuple[Case, str]], commit: str, link: str) -> str:
-    """Markdown; link: to the rows with whole messages."""
+    """Return Markdown; link: to the rows with whole messages."""
     lines = [
         "# Cases that once failed silently", "",
         "For developers. At commit f6cb3e2 these cases gave wrong results without an error message. This script runs "

@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""Which tests are not quick, from the times of a whole run.
+"""List the tests that are not quick, from the times of a whole run.
 
 python scripts/verification/slow_tests.py TIMES.xml [TIMES.xml ...]
 
-TIMES.xml: of --junitxml; scripts/test.py writes out/tests-whole.xml. Writes tests/slow_tests.txt, with the seconds of
-all cases of each function, by which files begin, and of each shared fixture, and prints the thirty that take most.
+TIMES.xml is a file of --junitxml; scripts/test.py writes out/tests-whole.xml. The script writes tests/slow_tests.txt,
+with the seconds of all cases of each function, which determine the order of files, and of each shared fixture. It
+prints the thirty slowest.
 """
 
 import sys
@@ -18,11 +19,11 @@ from chosen_tests import FIXTURE, SLOW_TESTS
 
 ROOT = SLOW_TESTS.parents[1]
 QUICK_S = 0.2
-"""The longest of a function's cases, or a fixture that serves several tests, that is still quick [s]."""
+"""Longest time of the longest case of a function, or of a shared fixture, that counts as quick [s]."""
 
 
 def parts(files: list[str]) -> dict[str, list[float]]:
-    """Seconds of each case of each test function without its shared fixtures, and of each making of these."""
+    """Return the seconds of each case of each function without shared fixtures, and of each fixture call."""
     found = defaultdict[str, list[float]](list)
     for file in files:
         for case in ET.parse(file).iter("testcase"):
@@ -37,7 +38,7 @@ def parts(files: list[str]) -> dict[str, list[float]]:
 
 
 def place(module: str) -> str:
-    """The file of a module's dotted name, followed by classes if the test is in one."""
+    """Return the file of a dotted module name, which classes may follow."""
     parts = module.split(".")
     for count in range(len(parts), 0, -1):
         file = "/".join(parts[:count]) + ".py"

@@ -1,4 +1,4 @@
-"""A disc of 40 mm on a slide over an array, quick to step: what tests and malformed inputs begin with."""
+"""A disc of 40 mm on a slide over an array, quick to step: the base of tests and malformed inputs."""
 
 from pathlib import Path
 
@@ -49,9 +49,9 @@ DEFAULTS: dict[str, dict[str, object]] = {
 
 
 def small_scene_texts(duration_s: float = 0.015, device: str = "cpu", **changes: dict[str, object]) -> tuple[str, str]:
-    """The plain scene, to be called plain.xml, and the haptic one that includes it.
+    """Return the plain scene, to be saved as plain.xml, and the haptic scene that includes it.
 
-    changes: by kind of plugin, keys that are changed or, at None, dropped, such as skin={"base": "free_slip"}
+    changes: by kind of plugin, changed keys (None removes a key), such as skin={"base": "free_slip"}
     """
     texts = {}
     for module, defaults in DEFAULTS.items():

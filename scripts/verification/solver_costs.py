@@ -1,10 +1,10 @@
-"""Are the predicted costs of the skin solvers true? 60 random cases, predicted and measured; writes a page.
+"""Compare predicted and measured costs of the skin solvers in 60 random cases; writes a page.
 
-    python scripts/verification/solver_costs.py --seed 1 [--count 60] --rows ROWS.jsonl
-    python scripts/verification/solver_costs.py --seed 1 --rows ROWS.jsonl --out docs/bench/skin_costs.md
+    python scripts/verification/solver_costs.py --seed 1 [--count 60] --rows ROWS.jsonl python
+    scripts/verification/solver_costs.py --seed 1 --rows ROWS.jsonl --out docs/bench/skin_costs.md
 
-Measured are seconds of the process in one thread, over those of a yardstick before and after, so that other work on the
-machine counts little. Set OMP_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1 and PALMFIELD_CACHE=off.
+The measured value is processor time in one thread relative to a fixed calculation (yardstick) before and after, which
+reduces the effect of other load. Set OMP_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1 and PALMFIELD_CACHE=off.
 """
 
 import argparse
@@ -27,14 +27,14 @@ from palmfield.skin.solver_choice import PREVIEW
 from palmfield.studies.bench.table import keep_rows
 
 YARDSTICK_S = 0.037
-"""What the yardstick takes on the machine whose seconds the predictions are."""
+"""Time of the yardstick on the machine of the predictions [s]."""
 LONGEST_S = 30.0
 OWN = ("two sheets", "large box", "map of pressures")
 KINDS = (*(name for name in FAMILIES if name != "scenes"), *OWN)
 
 
 def yardstick() -> float:
-    """Seconds of the process for a fixed piece of work: a sparse factorisation, solves and dense products."""
+    """Return the processor time of fixed work: a sparse factorisation, solves and dense products [s]."""
     line = sparse.diags([-1.0, 2.0, -1.0], [-1, 0, 1], (15, 15))
     one, begin = sparse.identity(15), time.process_time()
     matrix = sum(
@@ -50,7 +50,7 @@ def yardstick() -> float:
 
 
 def case_of(seed: int, number: int) -> tuple[str, Any, dict[str, Any]]:
-    """A case's kind, its body, load, times and points, and further arguments of `solve`."""
+    """Return kind, body, load, times and points of a case, and further arguments of `solve`."""
     kind = KINDS[number % len(KINDS)]
     random = np.random.default_rng([seed, number, 1])
     if kind not in OWN:
@@ -116,7 +116,7 @@ def within(ratios: list[float], factor: float) -> int:
 
 
 def page(seed: int, rows: list[dict[str, Any]], out: Path) -> str:
-    """Markdown of a run."""
+    """Return the Markdown of a run."""
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
     ratios = [row["measured_s"] / row["predicted_s"] for row in rows]
     own = "python scripts/verification/solver_costs.py"

@@ -1,4 +1,4 @@
-"""Imports what palmfield's tests import, but nothing of palmfield: a fork of this process can still take any copy."""
+"""Import the packages of palmfield's tests but not palmfield: a fork of this process can use any copy of it."""
 
 import gc
 from importlib import import_module, metadata

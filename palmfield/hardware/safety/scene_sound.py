@@ -21,7 +21,7 @@ GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def moments_of(count: int, duration_s: float) -> Float:
-    """Return rising times, one in each of `count` equal intervals of a duration."""
+    """Return rising times, one in each of `count` equal intervals of a duration [s]."""
     number = np.arange(count)
     return (number + np.modf((number + 1) * GOLDEN)[0]) * duration_s / count
 

@@ -152,7 +152,10 @@ def chosen_frame(result: xr.DataTree, array: xr.Dataset, options: Options) -> tu
 
 
 def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, options: Options) -> list[tuple[int, str]]:
-    """Return vertices and their descriptions: those nearest to the requested places, or around the largest motion."""
+    """Return vertices and their descriptions: those nearest to the requested places, or around the largest motion.
+
+    Raises OutputError for a place that is not on the skin.
+    """
     if not options.places:
         rest = skin["rest_position"].values
         found = probe_vertices(rest, extremes(skin, options.quantity).peak)

@@ -40,7 +40,10 @@ def rows_at(variable: xr.DataArray, dim: str, numbers: Int) -> NDArray[Any]:
 
 
 def clock_of(result: xr.DataTree, shown: Shown) -> Clock:
-    """Return the clock of a result. If the result has no times, the clock has none."""
+    """Return the clock of a result. If the result has no times, the clock has none.
+
+    Raises OutputError for times outside the run.
+    """
     times: Float = np.asarray(result.coords["time"].values, float) if "time" in result.coords else np.zeros(0)
     if len(times) == 0:
         return Clock(slice(0, 0), times, times, 1.0)

@@ -20,7 +20,11 @@ CROSS = ARM_M * np.stack([sign * np.eye(3)[k] for k in range(3) for sign in (-1.
 
 
 class StimulusWriter:
-    """Writes one stimulus: positions of its foci, and whether it is active (USD visibility)."""
+    """Writes one stimulus: positions of its foci, and whether it is active (USD visibility).
+
+    The prim contains Foci, a cross of three lines at each focus, and Path, a line for each focus that moves. The
+    attribute palmfield:foci contains the foci [m].
+    """
 
     def __init__(self, stage: Usd.Stage, path: str, stimulus: xr.Dataset, clock: Clock):
         self._stimulus = stimulus

@@ -87,10 +87,9 @@ class Staircase:
     def convergence(self) -> float:
         """Fraction of right answers at which steps to harder and to easier levels balance.
 
-        With a fraction p of right answers, a fraction p^down of the moves is to harder levels. An up_ratio q gives
-        p^down
-        = q/(1 + q). So p is 0.707 for 1 up 2 down, 0.794 for 1 up 3 down, and 0.293 for 2 up 1 down (Levitt 1971, table
-        I).
+        A move to a harder level needs `down` right answers in a row. With a fraction p of right answers, a fraction
+        p^down of the moves is to harder levels. An up_ratio q gives p^down = q/(1 + q). So p is 0.707 for 1 up 2 down,
+        0.794 for 1 up 3 down, and 0.293 for 2 up 1 down (Levitt 1971, table I).
         """
         to_harder = self.up_ratio / (1.0 + self.up_ratio)
         if self.up == 1:
