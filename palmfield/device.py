@@ -224,7 +224,7 @@ class _Loader:
 
 
 _moving = threading.Lock()
-"""Held while the folder of kernels changes."""
+"""Lock that is acquired while the folder of kernels changes."""
 absent: list[str] = []
 """Names of the modules that this process did not find compiled."""
 

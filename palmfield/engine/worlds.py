@@ -129,7 +129,7 @@ class SceneWorlds:
         self.look()
 
     def look(self) -> None:
-        """Compute forces and sensors at the present time, without a step."""
+        """Compute forces and sensors at the present time without a step."""
         t0 = self._common_time()
         self._lead(t0)
         with explaining():

@@ -44,17 +44,17 @@ SHEAR_Pa = 50.0, 1e9
 LEAST_POISSON = 0.3
 """Poisson's ratio below which a warning is given; soft tissue, gels and rubbers have 0.45 to 0.5."""
 TOUCHING = 0.99
-"""Distance of two transducers, relative to the piston diameter, below which they overlap."""
+"""Smallest distance of two transducers, relative to the piston diameter; closer transducers overlap."""
 DRY_PERCENT = 1.0
-"""Lowest plausible humidity; a lower one was probably given as a fraction."""
+"""Lowest plausible humidity [%]. A lower value was probably meant as a fraction."""
 MEDIAN_GAIN = 2.0
-"""Median gain of transducers above which the level was probably put into gains instead of p0."""
+"""Median gain of the transducers above which the level was probably entered as gains instead of p0."""
 FAR_OFF_M = 0.05
-"""Largest plausible displacement of a board by a calibration; beyond it frame or unit are probably wrong [m]."""
+"""Largest plausible displacement of a board by a calibration [m]. Above it, the frame or the unit is probably wrong."""
 WIDE = 10.0
 """Ratio of the ends of a range above which it is not a useful measurement."""
 UNLIKELY = 3.0
-"""Factor outside the values of real transducers from which p0 is implausible."""
+"""Factor outside the values of real transducers beyond which p0 is implausible."""
 
 
 def material_advice(model: HapticModel) -> list[str]:
@@ -355,7 +355,7 @@ def array_advice(model: HapticModel) -> list[str]:
 
 
 def _unlikely_p0(model: HapticModel) -> list[str]:
-    """Warn if p0 is far from that of any real transducer, probably because of the unit."""
+    """Warn if p0 is far from that of any real transducer. The usual reason is a wrong unit."""
     result = []
     typical = [ANY_P0, *(layout.p0 for layout in LAYOUTS.values())]
     least, most = min(one.low for one in typical), max(one.high for one in typical)
@@ -371,7 +371,10 @@ def _unlikely_p0(model: HapticModel) -> list[str]:
 
 
 def _crowded(model: HapticModel) -> list[str]:
-    """Warn if transducers of an array overlap, because of the unit of positions or the piston radius."""
+    """Warn if transducers of an array overlap.
+
+    The usual reason is a wrong unit of the positions or the piston radius.
+    """
     result = []
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
         pitch, wide = pitch_m(part.positions), 2.0 * part.piston_radius_m
@@ -384,7 +387,7 @@ def _crowded(model: HapticModel) -> list[str]:
 
 
 def _dry(model: HapticModel) -> list[str]:
-    """Warn if the air is drier than any room, probably because the humidity is a fraction."""
+    """Warn if the air is drier than in any room. The humidity was probably entered as a fraction."""
     return [
         f"humidity_percent of array '{array.name}' is {array.config.humidity_percent:g}, drier than any room: "
         "check the unit (percent)"
@@ -394,7 +397,7 @@ def _dry(model: HapticModel) -> list[str]:
 
 
 def _calibrations(model: HapticModel) -> list[str]:
-    """Warn if a calibration has implausible values, probably because of the unit of levels or positions."""
+    """Warn if a calibration has implausible values. The usual reason is a wrong unit of levels or positions."""
     result = []
     for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
         one = instance.calibration

@@ -26,7 +26,7 @@ SCATTER_PAIR_S = 2e-8
 SCATTER_ELEMENT_S = 1e-4
 """Time of a boundary-element solution per element [s]: 20 iterations and set-up (docs/bench/scattering.md)."""
 MOST_RUNS = 1000
-"""If modes save time from more runs than this, they are not proposed."""
+"""Largest number of runs after which modes must have saved time; otherwise they are not proposed."""
 
 
 def run_s(view: Preview) -> float:
@@ -91,9 +91,10 @@ def points_a_step(model: HapticModel) -> float:
 class Preparing(NamedTuple):
     """Predicted costs of the modes of a skin on one core.
 
-    modes_s: time to make them, once [s]; saved_s: time that they save in each later run with another stimulus [s]
-    without: replacement in a run without them, a reduced model or the full layer; runs: number of runs from which they
-    save time
+    modes_s: time to make the modes, once [s]
+    saved_s: time that the modes save in each later run with another stimulus [s]
+    without: what a run without modes uses, a reduced model or the full layer
+    runs: number of runs from which the modes save time
     """
 
     modes_s: float
@@ -103,7 +104,10 @@ class Preparing(NamedTuple):
 
 
 def preparing(skin: SkinModel, duration_s: float) -> Preparing | None:
-    """Return what modes of a skin would save in runs of this length [s]; None if they save nothing or are not kept."""
+    """Return what the modes of a skin would save in runs of this length [s].
+
+    Returns None if they would save nothing, or if the cache would not keep them.
+    """
     layer, modes = skin.layer, mode_estimate.expected_modes(skin.spec, skin.layer)
     if cache.folder() is None or skin.solver.own_mesh or mode_estimate.refusal(skin.spec, layer) is not None:
         return None

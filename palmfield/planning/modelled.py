@@ -202,7 +202,7 @@ def _ring_up(stimulus: StimulusModel) -> list[Row]:
 
 
 def effects_on_skin(model: HapticModel) -> list[Row]:
-    """Return rows of ignored effects, with their bias of the displacement of each skin under the focus."""
+    """Return rows of ignored effects, each with its bias of the displacement of each skin under the focus."""
     rows, posed = [], reference_scene(model)
     for number, skin in enumerate(model.skins):
         stimulus = stimulus_of(model, number)
@@ -215,7 +215,7 @@ def effects_on_skin(model: HapticModel) -> list[Row]:
 
 
 def other_effects(model: HapticModel) -> list[Row]:
-    """Return rows of other ignored effects, without an estimated bias."""
+    """Return rows of other ignored effects, whose bias is not estimated."""
     rows = []
     for skin in model.skins:
         name = skin.spec.name
@@ -239,14 +239,14 @@ def other_effects(model: HapticModel) -> list[Row]:
 
 
 def _inertia(skin: SkinModel) -> str:
-    """Describe the shear stress at the base of a layer for an acceleration of 1 m/s^2."""
+    """Describe the shear stress at the base of a layer that an acceleration of 1 m/s^2 causes."""
     sheets, depth = skin.layer.sheets, float(np.median(skin.layer.patch.depth))
     density = sum(sheet.material.density_kg_m3 * sheet.thickness_m for sheet in sheets)
     return f"shear rho a h at the base: {density * depth:.2g} Pa for 1 m/s^2 and {1e3 * depth:.2g} mm"
 
 
 def _common_flight(model: HapticModel, stimulus: StimulusModel) -> Row:
-    """Return the row of the common flight time of all sound, which results omit."""
+    """Return the row for the flight time that all sound has in common, which results omit."""
     arrays, focus = model.arrays, stimulus.first_focus
     distances = np.linalg.norm(arrays.array.positions[stimulus.transducers] - focus, axis=1)
     middle_s = 0.5 * (distances.min() + distances.max()) / sound_speed(arrays.air)

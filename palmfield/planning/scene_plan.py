@@ -162,9 +162,10 @@ def plan_numbers(view: Preview) -> dict[str, Any]:
 
     duration_s, steps (of MuJoCo), timestep_s, skin_step_s, transducers, device, board
     sending: for a board that takes bytes, as in `palmfield.estimate.sending.Sending`
-    stimuli: name, drive_level (of full, at the loudest moment) and pressure_Pa at the first focus, focus_m in the frame
-        of the first array, modulation: None, or am_frequency_Hz (None for a file) and the ARP relative to that at the
-        loudest moment, arp_mean and the peak amplitudes arp_first and arp_second of its lines at f and 2 f
+    stimuli: name, drive_level (relative to full drive, at the loudest moment), pressure_Pa at the first focus, focus_m
+        in the frame of the first array, modulation. The modulation is None, or has am_frequency_Hz (None for a file)
+        and three numbers relative to the ARP at the loudest moment: arp_mean, and the peak amplitudes arp_first and
+        arp_second of the lines at f and 2 f
     skins: name, solver, expected_solver_s, unknowns, edge_fine_m, edge_coarse_m, radius_m, depth_min_m, depth_max_m,
         spot_fwhm_m, max_frequency_Hz, accuracy_wanted_relative
     """

@@ -27,7 +27,7 @@ BY_PLUGIN: dict[str, type[Config]] = {config.plugin: config for config in CONFIG
 BOUND = ("arrays", "frame", "path_on", "on_skin", "path_sites")
 """Keys of a stimulus that name parts of the scene."""
 OF_TABLES = ("modulation", "am_file", "am_frequency_Hz", "path", "path_file")
-"""Keys that determine which files of waveforms and foci are read."""
+"""Keys that determine which files of waveforms or foci are read."""
 SHARED = {
     "palmfield.array": "all worlds share the arrays",
     "palmfield.skin": "all worlds share the skin's mesh and matrices",
@@ -35,7 +35,7 @@ SHARED = {
     "palmfield.afferents": "all worlds share the regions",
     "palmfield.motion": "different poses are given by `poses`",
 }
-"""Reasons why the keys of a plugin cannot differ."""
+"""Reasons why the keys of a plugin cannot differ between worlds."""
 
 
 def open_worlds(
@@ -185,7 +185,8 @@ def _poses(body: str, values: ArrayLike, worlds: int) -> Float:
 class WorldKeys:
     """Keys of a simulation.
 
-    common: all keys, with the values of the first world. differing: the keys that differ, with a value for each world
+    common: all keys, with the values of the first world
+    differing: the keys that differ, with a value for each world
     """
 
     common: dict[str, object]
@@ -193,10 +194,12 @@ class WorldKeys:
 
 
 def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, str]) -> WorldKeys:
-    """Separate keys with one value from keys with one value for each world; the latter have one more axis.
+    """Separate keys with one common value from keys with one value for each world. The latter have one more axis.
 
-    keys: as in `palmfield.session.open_scene.compiled`; plugins: name of the plugin, by instance of the scene
-    Raises SceneError for a number of values that is not that of worlds, a wrong shape, and a key that cannot differ.
+    keys: as in `palmfield.session.open_scene.compiled`
+    plugins: instance of the scene -> name of its plugin
+    Raises SceneError if the number of values is not the number of worlds, for a wrong shape, and for a key that cannot
+    differ.
     """
     common: dict[str, object] = dict(keys)
     differing: dict[str, dict[str, tuple[object, ...]]] = {}
@@ -227,8 +230,10 @@ def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, st
 def world_specs(
     spec: SceneSpec, texts: Mapping[str, Mapping[str, str]], keys: WorldKeys, worlds: int
 ) -> list[SceneSpec]:
-    """Return the scene in each world. spec, texts of keys of stimuli by instance: those of the first world.
+    """Return the spec of the scene in each world.
 
+    spec: spec of the first world
+    texts: texts of the keys of stimuli in the first world, by instance
     Raises SceneError, with the world, for an invalid value of a key.
     """
     specs = []
@@ -247,9 +252,11 @@ def world_specs(
 
 
 def with_texts(stimulus: StimulusSpec, texts: Mapping[str, str], element: str) -> StimulusSpec:
-    """Return a stimulus with changed keys, except BOUND ones.
+    """Return a stimulus with changed keys. Keys in BOUND are not changed.
 
-    texts: texts of all its keys; element: its name in messages. Raises SceneError for an invalid value of a key.
+    texts: texts of all its keys
+    element: name of the stimulus in messages
+    Raises SceneError for an invalid value of a key.
     """
     config: Any = with_files_found(parse(StimulusConfig, dict(texts), element), element)
     table, foci = stimulus.am_table, stimulus.focus_table
@@ -259,7 +266,7 @@ def with_texts(stimulus: StimulusSpec, texts: Mapping[str, str], element: str) -
 
 
 def axes_of(config: type[Config], key: str) -> int:
-    """Return the number of axes of a single value: 1 for lists and vectors, 0 for numbers and texts."""
+    """Return the number of axes of one value of a key: 1 for lists and vectors, 0 for numbers and texts."""
     return int(_schema(config, key).get("type") == "array")
 
 
@@ -294,5 +301,5 @@ def _by_world(dotted: str, value: Any, worlds: int, config: type[Config], key: s
 
 
 def _text(shape: tuple[object, ...]) -> str:
-    """Return a shape as text; it may contain letters for any number."""
+    """Return a shape as text. It may contain a letter where any number is allowed."""
     return f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"

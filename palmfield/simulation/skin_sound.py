@@ -18,14 +18,16 @@ from palmfield.simulation.posed_scene import PosedScene, PosedSurface
 from palmfield.types import Complex, Float, Int
 
 PADDED_TO = 128
-"""The number of points is padded to a multiple of this, so that a few buffer sizes are enough for all poses."""
+"""The number of points is padded to a multiple of this number, so that a few buffer sizes suffice for all poses."""
 VisibleSamples = tuple[Float, Float, Float, Int]
-"""Points [m] and outward normals, array frame, shapes (n, 3), areas [m2], shape (n,), 0 for padding points, and the
-numbers of these samples among all samples of the body, shape (n,)."""
+"""Samples of a body that the arrays can see.
+
+Points [m] and outward normals, array frame, (n, 3); areas [m2], (n,), 0 for padding; numbers among all samples, (n,).
+"""
 Role = Literal["quadrature", "load", "samples", "nodes", "vertices", "probe"]
 """Roles of points. Each role of a skin has its own buffers."""
 Key = tuple[int | bytes, ...]
-"""Key of the inputs of a result, usually serial numbers."""
+"""Key of the inputs of a result; usually serial numbers."""
 SkinPoints = tuple[PosedScene, int, Role, Float, Float, Int | None, SurfaceArp]
 """Points at which the sound is computed.
 
@@ -35,7 +37,7 @@ their numbers if they are only some points of the role, (n,), else None; evaluat
 
 
 def visible(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_]:
-    """Return whether any transducer may be in front of points [m] with outward normals, shapes (n, 3) to (n,).
+    """Return whether any transducer may be in front of each point. points [m], normals: (n, 3); result: (n,)
 
     The test uses the corners of a box that contains the transducers of each array.
     """

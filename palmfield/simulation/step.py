@@ -68,7 +68,7 @@ class Steps:
     def __init__(
         self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool = False
     ):
-        """alone: whether no other code writes the state"""
+        """models, works, state: as in `Steps`; alone: whether no other code writes the state"""
         self.models, self.works, self.state = models, works, state
         others, self.host = backends_of(models, works, state, alone)
         self.backends: tuple[Backend, ...] = (*others, self.host)
@@ -120,7 +120,7 @@ class Steps:
         self.forces = [force.copy() for force in other.forces]
 
     def fetch(self) -> None:
-        """Copy newer numbers from a device into the state."""
+        """Copy the state from the device, if the device has a newer one."""
         for backend in self.backends:
             backend.fetch()
 

@@ -18,9 +18,9 @@ from palmfield.tables import write_table
 from palmfield.types import Float
 
 QUIET = 0.1
-"""Points whose measured rms is below this share of the loudest are excluded from medians."""
+"""Fraction of the loudest measured rms. Points with a smaller rms are excluded from medians."""
 FLAT = 0.02
-"""Largest distance of the points of a scan from a plane, as a share of its width."""
+"""Largest distance of the points of a scan from a plane, relative to the width of the scan."""
 
 
 @dataclass(frozen=True)
@@ -159,9 +159,10 @@ def write_report(done: Comparison, folder: Path) -> None:
 def guided_modes(
     measured: Scan, computed: Scan, frequency_Hz: float, source_m: Float | None, radius_m: float
 ) -> tuple[GuidedMode, GuidedMode]:
-    """Fit the mode at one frequency to both scans, at the same points of the skin, along the computed beams.
+    """Fit the guided mode at one frequency to both scans, at the same points of the skin, along the computed beams.
 
-    source_m: point on the skin [m], (3,); None: place of largest computed motion; radius_m: excluded radius about it
+    source_m: source on the skin [m], (3,); None: point of largest computed motion
+    radius_m: radius about the source that is excluded
     Raises MeasurementError for skin that is not flat, and as `line_amplitudes` and `guided_mode_fit`.
     """
     assert computed.sights is not None
@@ -186,7 +187,10 @@ def guided_modes(
 
 
 def in_words(mode: GuidedMode, frequency_Hz: float) -> str:
-    """Report speed and 1/e length, or why there are none, with other waves that have a large share of the motion."""
+    """Report phase speed and 1/e length, or why there are none.
+
+    Other waves with a large share of the motion are named.
+    """
     words = [_wave_in_words(mode, frequency_Hz)]
     for other in mode.others:
         share = other.motion / mode.motion

@@ -33,17 +33,16 @@ HUGE = 20.0
 PAIR_COLUMNS = ("x_m", "y_m", "z_m", "skin_x_m", "skin_y_m", "skin_z_m")
 FILES = ("compare.json", "points.csv", "computed.csv", "agreement.png", "wavenumbers.png")
 UNIT = 30.0
-"""A gain that differs from 1 by this factor, up or down, suggests a wrong unit rather than a level."""
+"""A gain that differs from 1 by this factor, in either direction, suggests a wrong unit rather than a wrong level."""
 FOLDED = 0.02
-"""Share of the computed power above half of the rate of the scan from which aliasing is reported."""
+"""Fraction of the computed power above half of the scan's sampling rate. Above it, aliasing is reported."""
 SHARPEN = 4
-"""Exponent of the rms that weights points in `middle`, so that the point with the largest motion counts most."""
+"""Exponent of the rms in the weights of `middle`. A large exponent emphasises the point with the largest motion."""
 LEAST_APART_M = 1e-3
 OFFSET = 0.02
-"""Share of the peak beyond which an offset or drift is reported."""
+"""Offset or drift, relative to the peak, above which it is reported."""
 WILD = 4.0
-"""A point with this many times the motion of its neighbours and of the computed motion is a broken channel.
-"""
+"""Ratio to the motion of the neighbours, and to the computed motion, above which a point is a broken channel."""
 NEIGHBOURS = 4
 
 
@@ -212,9 +211,9 @@ def _straight(normal: Float) -> Vibrometer:
 
 
 def wild(measured: Scan, computed: Scan) -> NDArray[np.bool_]:
-    """Return which points of a scan have a broken channel, for instance a lost beam, shape (n,).
+    """Return which points of a scan have a broken channel, for instance because the beam was lost, shape (n,).
 
-    Such a point would be taken as the largest motion, to which the other points are compared.
+    Such a point would otherwise be taken as the point of largest motion, to which the other points are compared.
     """
     theirs, ours = (np.sqrt(np.mean(scan.values**2, axis=0)) for scan in (measured, computed))
     count = min(NEIGHBOURS, len(theirs) - 1)
@@ -225,7 +224,7 @@ def wild(measured: Scan, computed: Scan) -> NDArray[np.bool_]:
 
 
 def middle(scan: Scan) -> Float:
-    """Return the centre of a motion [m], shape (3,): mean of the points, weighted by std to the power SHARPEN."""
+    """Return the centre of a motion [m], shape (3,): the mean of the points, weighted by std to the power SHARPEN."""
     weights = np.std(scan.values, axis=0)
     weights = (weights / weights.max()) ** SHARPEN
     return np.asarray(weights @ scan.points / weights.sum())
@@ -234,7 +233,7 @@ def middle(scan: Scan) -> Float:
 def suspected_faults(
     measured: Scan, computed: Scan, motion: SurfaceMotion, numbers: Agreement, most_delay_s: float
 ) -> list[str]:
-    """Return sentences for a report, none if the comparison looks plausible.
+    """Return sentences for a report. There are none if the comparison is plausible.
 
     measured, computed: motions at the same points and times; the places of `measured` are those on the skin
     motion: computed motion before any instrument

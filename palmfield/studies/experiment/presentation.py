@@ -147,19 +147,19 @@ class Marker(Protocol):
     """Marks the moment of each presentation."""
 
     def mark(self, text: str, when: float) -> None:
-        """Mark the event `text` at a time of time.monotonic in the near future or past; return at once."""
+        """Mark the event `text` at a time of time.monotonic, in the near future or past. Returns at once."""
 
     def close(self) -> None: ...
 
 
 class LslMarker:
-    """A stream `palmfield` of type Markers: each sample is a text, stamped with the moment of emission.
+    """A stream `palmfield` of type Markers. Each sample is a text with the time of emission.
 
-    source_id: identifies the stream when it is reopened
+    source_id: identifies the stream when it is opened again
     """
 
     def __init__(self, name: str) -> None:
-        """Raises OutputError without the extra `lsl`."""
+        """Open the stream. Raises OutputError if the extra `lsl` is not installed."""
         try:
             import pylsl
         except (ImportError, RuntimeError) as error:
@@ -178,7 +178,7 @@ class LslMarker:
 
 
 class Markers:
-    """All markers of an experiment. A context manager."""
+    """Context manager for all markers of an experiment."""
 
     def __init__(self, parts: list[Marker]) -> None:
         self.parts = parts
@@ -197,7 +197,7 @@ class Markers:
 
     @property
     def trigger_late_s(self) -> float | None:
-        """Return the delay of the last trigger [s], None without one."""
+        """Return the delay of the last trigger [s]; None without a trigger."""
         return next((part.late_s for part in self.parts if isinstance(part, TriggerLine)), None)
 
     def __enter__(self) -> Self:

@@ -30,9 +30,9 @@ Numbers = dict[str, NDArray[Any]]
 class Watched:
     """Records the worlds of a simulation from its start.
 
-    simulation: any state; steps: number of MuJoCo steps that follow
+    simulation: simulation in any state; steps: number of MuJoCo steps that follow
     times: ends of the substeps, from the start of the run [s], shape (t,)
-    motion: motion by skin, normal displacement [m] and velocity [m/s] in each world, shape (w, t, 2, S)
+    motion: for each skin, normal displacement [m] and velocity [m/s] in each world, shape (w, t, 2, S)
     arp: highest ARP at these times [Pa], shape (w, skins, t); peak_arp: maximum over time, shape (w, skins)
     loudest: the moments of highest ARP by world and skin, None in silence
     forces: mean force of the sound on the body of each skin in each step [N], world axes, shape (steps, w, skins, 3)
@@ -84,7 +84,7 @@ class Watched:
         self._add_sound(world, posed, emitted_at(course, np.array([0])), np.array([self.begun_s]), slice(0, 1))
 
     def _rows(self, count: int) -> slice:
-        """Return the rows of the present step's substeps in the arrays over time."""
+        """Return the row numbers of the substeps of the present step in the arrays over time."""
         return slice(1 + self._steps * count, 1 + (self._steps + 1) * count)
 
     def _observe(self, trace: StepTrace) -> None:
@@ -115,7 +115,7 @@ class Watched:
                 self._note(trace, i, skin, trace.times[last[i]], highest[i])
 
     def _unit(self, trace: StepTrace, i: int, skin: int) -> float:
-        """Return the highest ARP on a skin of the unit drive of the i-th stepped world [Pa]; 0 in silence."""
+        """Return the highest ARP on a skin for the unit drive of the i-th stepped world [Pa]; 0 in silence."""
         world, posed, course = int(trace.worlds[i]), trace.posed[i], trace.course(i)
         if len(course.units) == 0:
             return 0.0

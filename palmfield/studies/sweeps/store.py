@@ -29,7 +29,7 @@ DATASET = "sweep.zarr"
 BLOCK_BYTES, TEXT_BYTES = 4096, 64
 """Block size of the file system, and assumed size of a text [bytes]."""
 CHUNK_POINTS = 4096
-"""Points in one chunk of a variable with one or a few numbers for each point."""
+"""Number of points in one chunk, for a variable with one or a few numbers per point."""
 Labels = Mapping[str, NDArray[Any]]
 """Coordinates of dimensions other than the keys: `skin`, `sensor`, `stimulus`, `observer`, `time`, `step_time`."""
 NOT_DONE, DONE, FAILED = 0, 1, 2
@@ -103,7 +103,7 @@ VARIABLES: dict[str, Variable] = {
     ),
     "level_why": Variable(("skin", "observer"), "str", "", "reason why the observer applies or is refused"),
 }  # fmt: skip
-"""Variables of every sweep. NaN if a point has failed, is not computed yet, or has no such number."""
+"""Variables of every sweep. A value is NaN if the point has failed, is not computed yet, or has no such number."""
 ERRORS: dict[str, Variable] = {
     "displacement_error": Variable(
         ("skin",), "float64", "1", "estimated relative error of the displacement: mesh, step, reduction, cut edges"
@@ -117,9 +117,9 @@ RECORDS: dict[str, Variable] = {
     "failure": Variable((), "str", "", "cause of a failed point"),
     "status": Variable((), "int8", "1", "0 not computed yet, 1 done, 2 failed"),
 }
-"""Variables on the computation."""
+"""Variables that describe the computation."""
 COURSES = ("time", "step_time")
-"""Dimensions along which each point has many numbers."""
+"""Dimensions of the time series of a point."""
 
 
 def size_bytes(design: Design, labels: Labels, errors: bool) -> int:
@@ -358,5 +358,5 @@ def _short(value: Any) -> str:
 
 
 def variables(errors: bool) -> dict[str, Variable]:
-    """Return all variables of a sweep, with estimates of errors or without."""
+    """Return all variables of a sweep. errors: whether to include estimates of errors"""
     return VARIABLES | (ERRORS if errors else {}) | RECORDS

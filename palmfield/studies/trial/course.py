@@ -23,9 +23,9 @@ NO_OBSTACLES = np.zeros((0, 3)), np.zeros((0, 3, 3))
 LONGEST_AHEAD_S = 0.2
 """Longest extrapolation of a hand [s]."""
 BEFORE_S = 0.5
-"""Time for which a tracker runs before the trial begins [s]."""
+"""Time for which the simulated tracker runs before the trial begins [s]."""
 MOST_AHEAD = 10_000
-"""Largest number of its samples that are computed before the trial begins."""
+"""Largest number of tracker samples that are computed before the trial begins."""
 
 
 class Frames(NamedTuple):
@@ -126,13 +126,14 @@ class SceneCourse:
 
 @dataclass(frozen=True)
 class Tracker:
-    """A tracker and the treatment of its samples.
+    """A tracker, and how its samples are used.
 
-    rate_Hz: samples per second, 0 for one at each call; latency_s: latency from the moment of a sample to its arrival
-    [s]
-    noise_m: noise of each coordinate, standard deviation [m]; seed: seed of the noise
-    ahead_s: extrapolation beyond the last sample [s], 0 for none; None extrapolates to the middle of the time for which
-    the frame will sound
+    rate_Hz: samples per second; 0 for a sample at each call
+    latency_s: time from the moment of a sample to its arrival [s]
+    noise_m: standard deviation of the noise of each coordinate [m]
+    seed: seed of the noise
+    ahead_s: extrapolation beyond the last sample [s]; 0 for no extrapolation. None extrapolates to the middle of the
+        time in which the frame will sound
     """
 
     rate_Hz: float = 90.0
@@ -160,7 +161,7 @@ class EstimatedPose(NamedTuple):
 
 
 class PoseEstimator:
-    """A tracker that samples the course of a scene."""
+    """A simulated tracker that samples the poses of a scene over time."""
 
     def __init__(self, course: SceneCourse, tracker: Tracker) -> None:
         self.course, self.tracker = course, tracker
@@ -176,9 +177,9 @@ class PoseEstimator:
         self._coming = deque(self._sample((self._next + number) / tracker.rate_Hz) for number in range(count))
 
     def at(self, now_s: float, sound_s: float) -> EstimatedPose:
-        """Return the estimate at a time of the trial [s], which must not decrease between calls.
+        """Return the estimate at a time of the trial [s]. Times must not decrease between calls.
 
-        sound_s: the middle of the time for which the frame made now will sound [s]
+        sound_s: middle of the time in which the frame made now will sound [s]
         """
         rate, arrived_s = self.tracker.rate_Hz, now_s - self.tracker.latency_s
         if rate == 0.0:
@@ -198,7 +199,7 @@ class PoseEstimator:
         return EstimatedPose(self.course.posed(sample_s, frames), sample_s)
 
     def _sample(self, time_s: float) -> Frames:
-        """Return a sample of the tracker at a time [s]. Fixed parts have no error."""
+        """Return a sample of the tracker at a time [s]. Parts that do not move have no error."""
         frames = self.course.frames(time_s)
         if self.tracker.noise_m == 0.0:
             return frames

@@ -17,7 +17,7 @@ from palmfield.studies.view.messages import Address, End, FromPage, FromSimulati
 STARTS_WITHIN_S = 60.0
 ENDS_WITHIN_S = 5.0
 KINDER = 5
-"""Increase of the page process's niceness relative to the simulation."""
+"""Increase of the niceness of the page process relative to the simulation."""
 
 
 class Link(Closing):
@@ -122,13 +122,13 @@ def _send(talk: Connection, outbox: "queue.SimpleQueue[FromSimulation]") -> None
 
 
 def need_viser() -> None:
-    """Raise OutputError if the library of the page is missing."""
+    """Raise OutputError if the library viser is missing."""
     if importlib.util.find_spec("viser") is None:
         raise OutputError("a live view needs the package viser: pip install 'palmfield[view]'")
 
 
 def run_page(talk: Connection, place: Address) -> None:
-    """Show the messages that arrive, until the other end is closed or requests the end."""
+    """Show the messages that arrive, until the simulation closes the connection or requests the end."""
     # Ctrl-C ends the simulation, which ends this process when its recording is complete
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):

@@ -25,7 +25,7 @@ from palmfield.types import Complex, Float32
 SILENT = (150, 150, 150)
 NICE = (1.0, 2.0, 5.0, 10.0)
 NOTHING = 1e-6
-"""Smaller values (um or Pa) are residues after a sound or motion has ended; they do not get full colours."""
+"""Smallest value (um or Pa) that gets a full colour. Smaller values are residues after a sound or motion has ended."""
 PORT = 8080
 """First port that is tried if none is requested."""
 LIFT_m = 3e-4
@@ -96,7 +96,12 @@ AT_REST = (int(MOTION[128, 0]), int(MOTION[128, 1]), int(MOTION[128, 2]))
 
 @dataclass(frozen=True)
 class Scale:
-    """A colour scale. table: 256 colours, (256, 4); low, high: its ends, in `unit`; factor: factor from SI to `unit`"""
+    """A colour scale.
+
+    table: 256 colours, shape (256, 4)
+    low, high: ends of the scale, in `unit`
+    factor: factor from SI to `unit`
+    """
 
     title: str
     table: NDArray[np.uint8]
@@ -137,7 +142,7 @@ def rounded_up(value: float) -> float:
 
 
 def phase_colours(drive: Complex) -> NDArray[np.uint8]:
-    """Return colours of transducers by their phase, greyer with lower amplitude relative to the loudest, (N, 4)."""
+    """Return colours of transducers by their phase, shape (N, 4). They are greyer if the amplitude is lower."""
     size = np.abs(drive)
     share = (size / size.max() if size.max() > 0.0 else size)[:, None]
     turn = np.mod(np.angle(drive) / (2.0 * np.pi), 1.0)

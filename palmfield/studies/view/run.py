@@ -47,7 +47,7 @@ NOT_FROM_A_PAGE = {"function", "hand", *FILE_KEYS}
 WARN_AGAIN_s = 2.0
 """Time between two errors of the same step of a tracked hand [s]."""
 BEHIND_s = 0.2
-"""Largest delay against real time that is recovered [s]."""
+"""Largest delay behind real time that is made up later [s]."""
 KEYS_FILE = "keys.json"
 
 
@@ -478,14 +478,14 @@ def run_for(live: ShownScene, link: Link, end: Ending) -> None:
 
 
 class Recording:
-    """Writes each step to a folder until `finish`. If the process is killed, `palmfield recover` assembles the written
-    data.
+    """Writes each step to a folder until `finish` is called.
 
+    If the process is killed, `palmfield recover` assembles the written data.
     out: the folder
     """
 
     def __init__(self, sim: Simulation, out: Path, scene: str, keys: Mapping[str, object]) -> None:
-        """scene: file of the scene; keys: those that differ from the file. Raises OutputError as `Store` does."""
+        """scene: file of the scene; keys: keys that differ from the file. Raises OutputError as `Store` does."""
         self.out, self._sim = out, sim
         self._store = Store(out, initial_block(sim), result_attributes(sim))
         self._blocks = Blocks(steps_watched(sim), self._store)
@@ -501,14 +501,14 @@ class Recording:
         self._recorder.step()
 
     def last_periods(self) -> Replay | None:
-        """Return the last periods; None in the first steps."""
+        """Return the data of the last periods; None in the first steps."""
         blocks = list(self._blocks.kept)
         return None if len(blocks) < (self._blocks.kept.maxlen or 0) else replay(self._sim, blocks, self._recorder)
 
     def finish(self, reason: str) -> Path:
-        """Write result.nc and summary.json; returns the folder. Raises OutputError if the disk is full.
+        """Write result.nc and summary.json, and return the folder. Raises OutputError if the disk is full.
 
-        reason: reason of the end
+        reason: why the recording ended
         """
         self._recorder.stop()
         self._store.append(self._recorder.surfaces())
