@@ -4,8 +4,7 @@ The cache is a folder of NumPy archives, one for each result. The name of a file
 code. The folder is the user's cache folder, or that of environment variable PALMFIELD_CACHE (`off`: no cache). If it
 exceeds its limit (2 GB or PALMFIELD_CACHE_MB), the least recently used results are removed. A result is written to a
 temporary file, which is then renamed, so no process reads an incomplete file. A file also contains a digest of its
-inputs and one of its arrays. If it cannot be read, or a digest does not match, the result is computed again, with a
-message.
+inputs and one of its arrays. If it cannot be read, or a digest does not match, the result is computed again.
 """
 
 import dataclasses

@@ -89,8 +89,7 @@ def read_json(path: str | Path) -> Any:
 def plain(parse: Any, text: str | bytes) -> Any:
     """Return the result of a parser, after a check of nesting depth and whole numbers.
 
-    Raises ValueError for nesting deeper than `DEEPEST` and for whole numbers of more than 64 bits, which would overflow
-    as floats or indices.
+    Raises ValueError for nesting deeper than `DEEPEST` and for integers of more than 64 bits, which would overflow.
     """
     try:
         value = parse(text)

@@ -155,8 +155,7 @@ class FieldSum(ABC):
 
 
 def part(values: Any, own: slice) -> Any:
-    """Return a slice of the values; if it contains all of them, return the values themselves, since Warp slices take 10
-    us."""
+    """Return a slice of the values; for all of them the values themselves, since Warp slices take 10 us."""
     return values if own.stop - own.start == len(values) else values[own]
 
 

@@ -72,8 +72,7 @@ def placed(array: Array, position: ArrayLike, rotation: ArrayLike) -> Array:
 def combined(arrays: Sequence[Array], name: str | None = None) -> Array:
     """Return several arrays in one frame as one array, with their transducers in the order of the arrays.
 
-    p0 is the largest of them; `gain` contains the ratio for the other arrays. Addresses continue from array to array if
-    every array has them.
+    p0 is the largest of them; `gain` contains the ratio for the other arrays. Addresses continue if all have them.
 
     name: None joins the names by " + "
     Raises SceneError for no arrays, and for differing frequency, piston radius or directivity.

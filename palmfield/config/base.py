@@ -106,8 +106,7 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
 def recorded(model: type[T], text: str) -> T:
     """Read a configuration that `model_dump_json` wrote, for example into a result.
 
-    Values equal to a default are omitted before validation, because some keys exclude each other. Raises SceneError for
-    any other text.
+    Values equal to a default are omitted before validation, since some keys exclude each other. Raises SceneError.
     """
     try:
         stored = json.loads(text)

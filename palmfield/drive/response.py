@@ -61,8 +61,7 @@ def envelope_response(frequency_Hz: ArrayLike, pole: Pole) -> Complex:
     """Return a/u for an envelope e^{-2 pi i f t}: g/(g - i(D + 2 pi f)), shape (..., n) for frequencies of shape (...).
 
     Positive and negative f are the two sidebands. f = 0 is the steady state; at resonance its response is 1. p0 of an
-    array applies to transducers at resonance. If p0 was measured at the carrier with detuned transducers, divide drives
-    by the response at 0.
+    array applies to transducers at resonance. If p0 was measured off resonance, divide drives by the response at 0.
     """
     turn = 2.0 * np.pi * np.asarray(frequency_Hz, float)[..., None]
     return np.asarray(pole.damping / (pole.rate - 1j * turn), np.complex128)

@@ -1,7 +1,6 @@
 """Errors of ignoring ring-up and flight time, computed from samples of the drive of a scene.
 
-The samples include every jump of the drive: start, stop, path points, control ticks, and jumps and cusps of a
-modulation."""
+The samples include every jump of the drive: start, stop, path points, control ticks, jumps of a modulation."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -401,8 +401,7 @@ def emitted_now(
 ) -> EmittedCourse:
     """Return the emission of the transducers at the present time [s], as a course of one moment.
 
-    emitted: present complex amplitudes of the state of the transducers, shape (N,). Without response, the emission is
-    the commanded drive.
+    emitted: present complex amplitudes of the state of the transducers, shape (N,). Without response: the drive.
     """
     if not response.on:
         return emitted_over(stimulus, drive, response, emitted, focal_points, instant(time_s))

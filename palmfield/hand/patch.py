@@ -20,8 +20,7 @@ MADE = ("vertices", "faces", "inward", "depth", "rim")
 STEPS, SPIKE, WIDEST_SPIKE_m = 60, 0.08, 8e-3
 """Steps of the traced outline to the radius of a patch, and half of the least width of its necks: a share of this
 radius, at most the length. They and GAUGE do not depend on the edges, so meshes of different edges have one geometry:
-the outline and depth of each mesh for itself changed the motion of a palm at 200 Hz by 5 % (rms over foci) from mesh to
-mesh."""
+the outline and depth of each mesh for itself changed the motion of a palm at 200 Hz by 5 % (rms over foci)."""
 NARROWEST = 0.75
 """Least distance of the rim from the middle of a patch, in coarse edges."""
 FLAT = 0.1

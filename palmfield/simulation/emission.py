@@ -343,8 +343,7 @@ def mean_weights(moments: Moments) -> Float:
     """Return the weight of each moment in the mean over all steps, shape (m,); 0 for omitted moments.
 
     On a linear course, five moments are as exact as all, by Boole's rule (Abramowitz and Stegun 25.4.14). In
-    `hover_explore` the forces differ by 0.077 % from those of eight times as many moments; with all 13 moments by 0.084
-    %.
+    `hover_explore` the forces differ by 0.077 % from those of eight times as many moments; with all 13 by 0.084 %.
     """
     steps = len(moments.first)
     if steps > BOOLE and steps % BOOLE == 0 and True not in moments.linear[:1] and all(moments.linear[1:]):

@@ -1,8 +1,7 @@
 """Stages of a step on the host, for all worlds that no graph steps.
 
 Worlds in which the sound of a step is one number times one drive are computed together, the others one after the other.
-Both use the same form of drives, forces and loads. Data for later steps have serial numbers of poses and drives as
-keys.
+Both use the same form of drives, forces and loads. Their keys for later steps are serial numbers of poses and drives.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -311,8 +311,7 @@ def settled_worlds(
 ) -> NDArray[np.bool_]:
     """Return the worlds in which `posed_scene` puts all bodies at the reference pose, shape (w,).
 
-    The arguments are those of `posed_scene`, with an axis for worlds. If bones or obstacles need a check, all are
-    False.
+    Arguments are those of `posed_scene`, with an axis for worlds. Bones or obstacles that need a check give False.
     """
     worlds = len(world_positions)
     for number, skin in enumerate(model.skins):

@@ -1,7 +1,6 @@
 """Read the spec of a scene from the compiled MuJoCo model. Only this file reads keys.
 
-It also returns the numbers of the MuJoCo bodies and sites that belong to the parts of the spec. Later, poses are read
-by these numbers.
+It also returns the numbers of the MuJoCo bodies and sites that belong to the parts of the spec, to read poses.
 """
 
 import math
@@ -73,8 +72,7 @@ class SceneBinding:
     """MuJoCo numbers of the objects that a SceneSpec names, in the same order. array_instances: plugin instances
 
     array_instances, region_instances: plugin instances. array_sites: the frame of each array.
-    transducer_sites: transducer sites of each array, empty except for layout `sites`. frame_sites: the frame of each
-    stimulus.
+    transducer_sites: transducer sites of each array, empty except for layout `sites`. frame_sites: of each stimulus.
     """
 
     array_instances: tuple[int, ...]

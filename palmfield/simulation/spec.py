@@ -123,7 +123,6 @@ class SceneSpec:
     """The whole scene. Equal specs share a model.
 
     device: device that computes fields, "cpu" or "cuda:N"; timestep_s: time step of MuJoCo [s]; duration_s: of a run
-        [s]
     """
 
     arrays: tuple[ArraySpec, ...]

@@ -101,8 +101,7 @@ class OutsideClass:
     """The part of the loads on a skin in a run that was outside the class of its modes.
 
     sums: sums of squares over all substeps
-    loudest: largest energy of the load in one step, at least that of a focus in the middle of the skin; None before the
-        first step
+    loudest: largest energy of the load in one step, at least that of a focus in the middle of the skin; None initially
     """
 
     def __init__(self) -> None:

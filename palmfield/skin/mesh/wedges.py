@@ -173,8 +173,7 @@ def element_rows(sheets: Sequence[Sheet], fractions: Float) -> tuple[Float, list
     """Return depth fractions of rows of elements, each in one sheet, (L+1,), and the material of each row.
 
     sheets: from the surface down; thicknesses are shares of their sum
-    fractions: depth fractions for a layer of one sheet, 0 first, 1 last; they determine the number of rows in each
-        sheet, at least one.
+    fractions: depth fractions for a layer of one sheet, 0 first, 1 last; they set the number of rows of each sheet.
     """
     index = np.arange(len(fractions), dtype=float)
     total = sum(sheet.thickness_m for sheet in sheets)
