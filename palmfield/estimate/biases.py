@@ -16,7 +16,7 @@ from palmfield.drive.board import FULL
 from palmfield.drive.motion_change import changes_of_motion
 from palmfield.estimate.array_inputs import qualities
 from palmfield.estimate.bias import Bias
-from palmfield.estimate.numerics.base_band import base_band
+from palmfield.estimate.numerics.base_band import base_band, on_finger
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import main_frequencies
@@ -52,6 +52,9 @@ SHARPENS = 0.9
 ECHO = "echo between body and array"
 ROUND_TRIPS = 8
 """Number of round trips between plate and array in the band; later ones add a tenth or less."""
+FINGER_Hz = 400.0
+"""Main frequency up to which the bone of a relaxed finger moves by more than 10 % of its skin
+(scripts/verification/whole_finger.py)."""
 NEAR_M = 6e-3
 """Radius about the focus in which the curvature of the skin is measured: half width of a focus [m]."""
 SETTLED = 0.01
@@ -83,6 +86,7 @@ def biases(
         *array_biases(model, stimulus, drive),
         *_linear(model.skins[skin]),
         *_below(model.skins[skin]),
+        *_whole_finger(model.skins[skin]),
     ]
 
 
@@ -95,6 +99,17 @@ def _below(skin: SkinModel) -> list[Bias]:
     each = ", ".join(f"{name} {100.0 * change:+.0f} %" for name, change in changes.items())
     why = f"by key base, now {skin.spec.config.base}: {each}; for an infinite flat layer"
     return [Bias("tissue below the layer", min(0.0, *changes.values()), max(0.0, *changes.values()), why)]
+
+
+def _whole_finger(skin: SkinModel) -> list[Bias]:
+    """Return the motion of a finger as a whole, which is not part of the motion of its skin, if it may exceed 10 %."""
+    if skin.layer.demand.main_frequency_Hz > FINGER_Hz or not on_finger(skin.layer):
+        return []
+    why = (
+        "displacements are relative to the bone; the bone of a relaxed finger moves 60 times as far as its skin at "
+        "10 Hz, 1 to 2 times at 100 Hz, 0.4 to 0.7 times at 200 Hz (docs/limits.md)"
+    )
+    return [Bias("motion of the whole finger", None, None, why)]
 
 
 def _linear(skin: SkinModel) -> list[Bias]:

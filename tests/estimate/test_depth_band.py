@@ -2,12 +2,16 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
+import scipy
 import trimesh
 from half_space import impedance
+from whole_finger import DENSITY_KG_M3, LENGTHS_M, RADII_M, chain, modes
 
 import palmfield
+from palmfield.estimate.biases import _whole_finger
 from palmfield.estimate.numerics.base_band import base_band, responses
 from palmfield.estimate.numerics.depth_band import depth_band
 from palmfield.estimate.numerics.point_response import Response
@@ -92,3 +96,29 @@ def test_below_a_finger_there_is_no_muscle():
     palm, fingertip = (base_band(skin.layer) for skin in palmfield.Simulation(scene).runtime.model.skins)
     assert set(palm) == {"bonded", "deep", "muscle"} and set(fingertip) == {"bonded", "deep"}
     assert palm["bonded"] == fingertip["bonded"] == 1.0 < palm["deep"] < fingertip["deep"]
+
+
+def test_only_a_finger_moves_as_a_whole():
+    scene = Path(__file__).parents[2] / "mjcf" / "scenes" / "palm_and_fingertip.xml"
+    palm, fingertip = palmfield.Simulation(scene).runtime.model.skins
+    [line] = _whole_finger(fingertip)
+    assert not _whole_finger(palm) and line.low is None and "1 to 2 times at 100 Hz" in line.why
+
+
+def test_a_finger_is_a_chain_of_cylinders():
+    """Against the mass matrix of MuJoCo."""
+    springs = np.array([0.038, 0.05, 0.02])
+    body = ""
+    for length, radius, spring in zip(LENGTHS_M[::-1], RADII_M[::-1], springs[::-1], strict=True):
+        place = f'size="{radius} {0.5 * length}" pos="{0.5 * length} 0 0" quat="0.7071068 0 0.7071068 0"'
+        next_at = body.replace("<body>", f'<body pos="{length} 0 0">', 1)
+        joint = f'<joint axis="0 1 0" stiffness="{spring}"/>'
+        body = f'<body>{joint}<geom type="cylinder" density="{DENSITY_KG_M3}" {place}/>{next_at}</body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((3, 3))
+    mujoco.mj_fullM(model, data, mass)
+    exact = np.sqrt(scipy.linalg.eigh(np.diag(springs), mass, eigvals_only=True)) / (2.0 * np.pi)
+    line, stiffness, _ = chain(springs)
+    np.testing.assert_allclose(modes(line, stiffness)[0], exact, rtol=1e-6)

@@ -36,7 +36,7 @@ def base_band(layer: SceneLayer) -> dict[str, float] | None:
         return None
     own = float(patch.depth[np.linalg.norm(patch.vertices - layer.centre_m, axis=1).argmin()])
     sheets = [Sheet(sheet.material, own * sheet.thickness_m) for sheet in layer.sheets]
-    others = ALTERNATIVES[:-1] if config.shape in OF_SHAPES["hand"] and _on_finger(layer) else ALTERNATIVES
+    others = ALTERNATIVES[:-1] if on_finger(layer) else ALTERNATIVES
     names = dict.fromkeys((config.base, *others))
     bases = [base_of(config.model_copy(update={"base": name}), layer.sheets) for name in names]
     still, moving = (responses(sheets, demand.spot_fwhm_m, f, bases) for f in (0.0, demand.main_frequency_Hz))
@@ -44,11 +44,13 @@ def base_band(layer: SceneLayer) -> dict[str, float] | None:
     return {name: float(of[name] / of[config.base]) for name in others}
 
 
-def _on_finger(layer: SceneLayer) -> bool:
-    """Return whether the bone nearest to the middle of a layer on a hand is that of a finger.
+def on_finger(layer: SceneLayer) -> bool:
+    """Return whether a layer is on a hand, and the bone nearest to its middle is that of a finger.
 
     `palmfield.hand.regions` would need the labels of the whole surface, which a plan does not compute.
     """
+    if layer.config.shape not in OF_SHAPES["hand"]:
+        return False
     bones = centred_skeleton(load_preset(layer.config.hand)).bones
     nearest = min(bones, key=lambda bone: float(bone_distance(layer.centre_m[None], [bone])[0]))
     digit, _, part = nearest.name.partition("_")
