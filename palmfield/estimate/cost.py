@@ -5,9 +5,9 @@ from palmfield.skin.costs import assembly_s, factor_s, vector_s
 from palmfield.skin.extreme_sheets import softest_and_stiffest_sheets
 
 FINER = 1.25
-"""Ratio of the element sizes to those of a finer mesh."""
+"""Ratio of the element sizes of a mesh of few unknowns to those of the next finer one."""
 COARSER = 1.5
-"""Ratio of the edges of a coarser mesh, with as many rows of elements, to those of the mesh."""
+"""Ratio of the edges of two meshes with as many rows of elements."""
 FINER_BELOW = 10_000
 """Number of unknowns below which the other mesh is finer: a coarser one has too few triangles under the spot."""
 VECTORS = 50
@@ -28,7 +28,8 @@ def estimate_s(skin: SkinModel) -> float:
         # The time of the solver includes its own estimate.
         return (1 + edge) * _model_s(dofs) + materials * assembly_s(dofs) if edge or materials else 0.0
     if compares_with_finer(dofs):
-        return (1 + edge) * _model_s(dofs) + _model_s(FINER**3 * dofs) + materials * assembly_s(dofs)
+        # The other meshes have finer edges, and another number of rows
+        return (2 + edge) * _model_s(dofs) + _model_s(COARSER**2 * dofs) + materials * assembly_s(dofs)
     # The estimate uses the reduced model of a predicted load
     own, low = _model_s(dofs) if skin.choice.solver.any_pose else 0.0, dofs / COARSER**2
     return own + (2 + edge) * _model_s(low) + materials * assembly_s(low)

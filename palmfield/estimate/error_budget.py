@@ -5,7 +5,6 @@ at the main frequency. It represents the displacement of a run, although the pea
 possibly at another point. The parts are of different kinds and are never added to one number.
 """
 
-import math
 from dataclasses import asdict
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from palmfield.estimate.array_inputs import p0_band_at, p0_known, stimulus_of
 from palmfield.estimate.bias import QUANTITY
 from palmfield.estimate.biases import biases
-from palmfield.estimate.numerical_error import SteppedRun, error_estimate
+from palmfield.estimate.numerical_error import SteppedRun, error_estimate, of_sources
 from palmfield.estimate.numerics.depth_band import depth_band
 from palmfield.session.loudest_moment import LoudestMoment, loudest_place, nearest_focus, place_under_focus
 from palmfield.simulation.model import HapticModel, array_instances
@@ -42,8 +41,8 @@ def error_budget(
 
     Arguments and errors raised (SceneError): as in `palmfield.estimate.numerical_error.error_estimate`.
     quantity: quantity to which all parts are relative. estimate: "full" if `thorough`, else "quick".
-    numerical: SOURCE_error_relative for each of SOURCES, displacement_error_relative of all sources together, and the
-        other entries of the numerical estimate.
+    numerical: SOURCE_error_relative for each of SOURCES, displacement_error_relative of all sources together, the
+        same of the velocity (velocity_error_relative), and the other entries of the numerical estimate.
     left_out: list of what, low, high (bias; None if not estimated) and why.
     inputs: list of what, low, high (factors of the displacement; None if not estimated), kind and why.
     """
@@ -53,8 +52,7 @@ def error_budget(
     law = max(sheet.material.series_error for sheet in model.skins[skin].layer.sheets)
     if law > 0.0:
         estimate["law_error_relative"] = law
-    parts = [estimate.get(f"{name}_error_relative", 0.0) for name in SOURCES]
-    estimate["displacement_error_relative"] = math.hypot(*parts)
+    estimate |= of_sources(estimate, SOURCES)
     stimulus = stimulus_of(model, skin)
     places = loudest.posed.focal_points(model.stimuli[stimulus], stimulus)
     foci = places.at(frame_at(model.stimuli[stimulus].config, loudest.time_s).focus)

@@ -46,7 +46,8 @@ def skin_numbers(
     times: times of the records [s], shape (t,). normal: displacement along the outward normal [m], shape (t, S).
     arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo time at the start of the run
     [s]. populations: levels by `population_levels`, if any.
-    `reduction_velocity_error_relative` is the velocity error of modes; other solvers do not have this entry.
+    velocity_error_relative, and SOURCE_velocity_error_relative of its sources, are missing for solvers with their own
+    mesh. Without an estimate, modes still have `reduction_velocity_error_relative`.
     input_band_low, _high: factors of the motion over all inputs with a known range (`combined`); input_band_parts: of
     each input; peak_displacement_low_m, _high_m: ends of its band; verdict: as returned by
     `palmfield.outputs.verdict.verdict`.
@@ -118,8 +119,9 @@ def estimated_errors(runtime: SceneRuntime, skin: int, loudest: LoudestMoment) -
 
 
 def _course(runtime: SceneRuntime, skin: int) -> SteppedRun:
-    outside = runtime.work.outside[skin].energy_share
-    return SteppedRun(_left_small_model(runtime, skin), outside, runtime.view.raw.time)
+    outside, adds = runtime.work.outside[skin], runtime.model.begin[skin].value.adds_error
+    velocity = None if adds is None else outside.errors(adds)[1]
+    return SteppedRun(_left_small_model(runtime, skin), outside.energy_share, runtime.view.raw.time, velocity)
 
 
 def _or_reason(estimate: Callable[[], T]) -> T | str:

@@ -18,14 +18,16 @@ SHOWN = 5e-4
 
 def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
     """Return the uncertainty of the response of a skin under the focus. Its three kinds are separate and not added."""
-    velocity = skin.get("reduction_velocity_error_relative")
-    of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"
-    parts = [
-        f"{name} {figures(100 * skin[f'{key}_error_relative'], 1.0)} %{of_velocity if key == 'reduction' else ''}"
-        for key, name in PARTS.items()
-        if f"{key}_error_relative" in skin
-    ]
-    rows = [("error, numerical", f"of the response under the focus: {', '.join(parts)}")]
+    of_motion, of_velocity = (
+        ", ".join(
+            f"{name} {figures(100 * skin[f'{key}_{kind}'], 1.0)} %"
+            for key, name in PARTS.items()
+            if f"{key}_{kind}" in skin
+        )
+        for kind in ("error_relative", "velocity_error_relative")
+    )
+    velocity = f"; of its velocity: {of_velocity}" if of_velocity else ""
+    rows = [("error, numerical", f"of the response under the focus: {of_motion}{velocity}")]
     budget = skin.get("error_budget")
     if budget is None:
         return rows

@@ -73,7 +73,9 @@ def _short(skin: Mapping[str, Any]) -> list[TextRow]:
         reached = f"; {missed}" if skin.get("accuracy_reached") is False else ""
         budget = skin.get("error_budget")
         omitted, kind = largest_omitted(budget), f" ({budget['estimate']} estimate)" if budget else ""
-        rows.append(("error", f"numerical {figures(100 * error, 1.0)} %{kind}{reached}{omitted}"))
+        velocity = skin.get("velocity_error_relative")
+        fast = "" if velocity is None else f", of the velocity {figures(100 * velocity, 1.0)} %"
+        rows.append(("error", f"numerical {figures(100 * error, 1.0)} %{fast}{kind}{reached}{omitted}"))
     return rows + _no_estimate(skin) + _driven(skin)
 
 

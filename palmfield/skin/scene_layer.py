@@ -277,8 +277,8 @@ class SceneLayer:
         return surface_motion(self.mesh, self.system)
 
     def probe(self, point: Float) -> SurfaceProbe:
-        """Return the reader of the displacement at the skin point nearest to `point`, body frame [m], shape (3,)."""
-        return SurfaceProbe(self.mesh, point[None], self.system)
+        """Return the reader of the displacement at the skin points nearest to `point`, [m], (3,) or (p, 3)."""
+        return SurfaceProbe(self.mesh, np.atleast_2d(point), self.system)
 
     @property
     def dofs(self) -> int:

@@ -130,8 +130,17 @@ def _rows(text):
 
 
 def test_the_table_tells_what_modes_state_of_the_velocity(one_skin):
-    for more, words in (({}, "reduction 0 %, "), ({"reduction_velocity_error_relative": 0.034}, "(3.4 % of the")):
+    for more, words in (
+        ({}, "reduction 0 %, "),
+        ({"reduction_velocity_error_relative": 0.034}, "velocity: reduction 3.4 %"),
+    ):
         assert words in " ".join(format_summary(summary(one_skin, RUN, {"palm": FULL | more}, {}), True).split())
+
+
+def test_the_short_table_has_the_error_of_the_velocity(one_skin):
+    stated = FULL | {"velocity_error_relative": 0.234}
+    shown = " ".join(format_summary(summary(one_skin, RUN, {"palm": stated}, {})).split())
+    assert "numerical 10 %, of the velocity 23 %" in shown
 
 
 def test_the_table_of_one_skin(one_skin):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from palmfield import SceneError, cache
 from palmfield.skin import Sheet, Slab, Spot, Springs, preset
@@ -15,7 +16,7 @@ from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import Material
 from palmfield.skin.reduction import reducer as module
-from palmfield.skin.reduction.reducer import TOLERANCE, WINDOW_S, point_model
+from palmfield.skin.reduction.reducer import TOLERANCE, WINDOW_S, Course, point_model
 from palmfield.skin.solvers.wedges import first_sizes
 from palmfield.skin.stepper import SurfaceLoads
 
@@ -57,8 +58,8 @@ def test_substeps_of_a_small_model_are_those_of_the_whole_layer(material: str, s
         assert seen is not None
         moved.append(seen[0][:, 0, 2])
         levels.append((clock, level))
-    substeps = small.stepped(levels[0][1], step_s)[1:]
-    exact = small.moved(levels[1][1], levels[1][0])
+    substeps = small.stepped(Course(levels[0][0], levels[0][1][:, None]))[0, 1:, 0]
+    exact = small.moved(Course(levels[1][0], levels[1][1][:, None]))[0, :, 0]
     assert np.linalg.norm(substeps - moved[0]) <= 2.0 * TOLERANCE * np.linalg.norm(moved[0])
     assert np.linalg.norm(exact[1:] - moved[1]) <= 2.0 * TOLERANCE * np.linalg.norm(moved[1])
     # So that their difference is the error of the substeps
@@ -84,7 +85,7 @@ def whole(system, force, read, f_Hz):
 
 
 def in_model(small, f_Hz):
-    return np.array([small.static(), small.harmonic(f_Hz), small.discrete(f_Hz, STEP_s)])
+    return np.concatenate([small.static(), small.harmonic(f_Hz), small.discrete(f_Hz, STEP_s)])
 
 
 @pytest.mark.parametrize(("base", "side"), [("bonded", "fixed"), ("bonded", "absorbing"), ("free_slip", "roller")])
@@ -96,6 +97,38 @@ def test_it_swings_as_the_whole_layer(base: str, side: str, f_Hz: float) -> None
     expected = whole(system, force, read, f_Hz)
     assert abs(expected[2] - expected[1]) > 1e-4 * abs(expected[1])
     np.testing.assert_allclose(in_model(small, f_Hz), expected, rtol=0.5 * TOLERANCE)
+
+
+def test_several_points_and_a_path_move_as_in_the_whole_layer() -> None:
+    """Displacement and velocity of five points under one force, and of the first one under forces of a path."""
+    system, _, force, _ = disc("palm")
+    points = 3e-3 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.5, 0.0]])
+    read = SurfaceProbe(system.mesh, points, system).operator.toarray()
+    places = [[3e-3 * k, 2e-3 * k, 0.0] for k in (-2, 1, 3)]
+    path = np.column_stack(
+        [
+            np.asarray(history.operator @ history.loads(np.array([0.0, 1e-3])).pressure_Pa[0, 0])
+            for place in places
+            for history in [PressureHistory(Spot(0.0103, [0.0], [1.0], [place[:2]], "held"), system.mesh, system)]
+        ]
+    )
+    (small,) = point_model(system, force, read, MAIN_Hz, HIGHEST_Hz, path=path)
+    np.testing.assert_allclose(small.harmonic(MAIN_Hz), read @ harmonic(system, force, MAIN_Hz), rtol=TOLERANCE)
+    expected = [read[0] @ harmonic(system, column, MAIN_Hz) for column in path.T]
+    np.testing.assert_allclose(small.of_path(MAIN_Hz), expected, rtol=TOLERANCE)
+    # From rest, with the focus at each place in turn
+    times = STEP_s * np.arange(121)
+    factors = np.maximum(1.0 - np.abs(times[:, None] / 0.01 - np.arange(3)), 0.0)
+    factors *= 0.5 - 0.5 * np.cos(np.pi * np.minimum(times[:, None] / 0.004, 1.0))
+    stepper = WedgeStepper(system, sparse.csr_matrix(path), STEP_s)
+    loads = SurfaceLoads(np.eye(3)[None], factors[None, :-1], factors[None, 1:])
+    reader = stepper.reader(sparse.csr_matrix(read[:1]))
+    seen = stepper.step(np.zeros((1, stepper.state_size)), loads, 0.0, times[-1], reader)
+    assert seen is not None
+    moved = small.stepped(Course(times, factors, path=True))[:, 1:, 0]
+    off = np.linalg.norm(moved - seen[0, :, :, 0].T, axis=1) / np.linalg.norm(seen[0, :, :, 0], axis=0)
+    # The vectors are chosen for displacements; velocities have more of the fast waves
+    assert off[0] < 2.0 * TOLERANCE and off[1] < 0.05
 
 
 def scaled(material: Material, factor: float) -> Material:

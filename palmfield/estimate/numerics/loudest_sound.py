@@ -11,24 +11,45 @@ from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.scene_layer import SceneLayer
-from palmfield.types import Float
+from palmfield.types import Complex, Float
 
 T = TypeVar("T")
 
 
 class LoudestSound:
-    """ARP of the loudest moment on other meshes of a layer."""
+    """ARP of the loudest moment on other meshes of a layer, and ARP along the path of a moving focus.
 
-    def __init__(self, model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation):
-        self.model, self.skin, self.loudest, self.radiation = model, skin, loudest, radiation
+    path: emissions at the places of the focus, (k, N), or None.
+    """
+
+    def __init__(
+        self,
+        model: HapticModel,
+        skin: int,
+        loudest: LoudestMoment,
+        radiation: Radiation,
+        path: Complex | None = None,
+    ):
+        self.model, self.skin, self.loudest, self.radiation, self.path = model, skin, loudest, radiation, path
         self.on_own: Float = self._arp(radiation, loudest.posed)
 
     def on(self, layer: SceneLayer) -> Float:
         """Return the ARP [Pa] at the quadrature points of a layer, shape (q,)."""
+        return self.on_own if layer is self.model.skins[self.skin].layer else self._arp(*self._posed(layer))
+
+    def along(self, layer: SceneLayer) -> Float | None:
+        """Return the ARP [Pa] at the places of the path, shape (k, q), or None."""
+        if self.path is None:
+            return None
+        radiation, posed = self._posed(layer)
+        return radiation.many(posed, self.skin, self.path).astype(np.float64)
+
+    def _posed(self, layer: SceneLayer) -> tuple[Radiation, PosedScene]:
+        """Return the radiation of the scene with a layer, and its pose."""
         model, skin, posed = self.model, self.skin, self.loudest.posed
         part = model.skins[skin]
         if layer is part.layer:
-            return self.on_own
+            return self.radiation, posed
         other = SkinModel(part.spec, part.body, part.carrier, layer, part.choice)
         place, body = posed.skins[skin], posed.bodies[part.body]
         disc = part.carrier.surface is None
@@ -43,7 +64,7 @@ class LoudestSound:
         radiation, solution = Radiation(varied_model), self.radiation.solution(skin)
         if solution is not None and not disc:
             radiation.adopt(skin, solution._replace(posed=varied))
-        return self._arp(radiation, varied)
+        return radiation, varied
 
     def _arp(self, radiation: Radiation, posed: PosedScene) -> Float:
         return radiation.on(posed, self.skin, "quadrature", self.loudest.drive).arp.astype(np.float64)

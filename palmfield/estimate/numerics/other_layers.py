@@ -26,17 +26,18 @@ def held_anywhere(cut: Sequence[Response]) -> list[Response]:
     return [other for other in cut if other.layer.config.base != "free" or other.layer.config.side == "fixed"]
 
 
-def edge_error(own: Response, cut: Sequence[Response]) -> float:
-    """Return half of the larger change of the static or harmonic displacement with other cut faces.
+def edge_error(own: Response, cut: Sequence[Response]) -> tuple[float, float]:
+    """Return half of the change with other cut faces, of the first point, of its displacement and of its velocity.
 
-    The result is 1 if only the cut faces support the layer.
+    It is the larger one of the static and harmonic displacement; for the velocity, that of the harmonic one. Both are 1
+    if only the cut faces support the layer.
     """
     supported = held_anywhere(cut)
     if len(supported) < len(cut):
-        return 1.0
-    changes = [abs(other.harmonic - own.harmonic) / abs(own.harmonic) for other in cut]
-    changes += [abs(other.static - own.static) / abs(own.static) for other in supported]
-    return 0.5 * max(changes, default=0.0)
+        return 1.0, 1.0
+    swung = [abs(other.harmonic - own.harmonic)[0] / abs(own.harmonic)[0] for other in cut]
+    still = [abs(other.static - own.static)[0] / abs(own.static)[0] for other in supported]
+    return 0.5 * max([*swung, *still], default=0.0), 0.5 * max(swung, default=0.0)
 
 
 def other_materials(own: Response, ends: Ends | None) -> list[Response]:
@@ -45,8 +46,9 @@ def other_materials(own: Response, ends: Ends | None) -> list[Response]:
 
 
 def material_band(own: Response, ends: Sequence[Response]) -> dict[str, float]:
-    """Return the range of factors of the displacement, static and harmonic, for softer and stiffer materials."""
+    """Return the range of factors of the first displacement, static and harmonic, for softer and stiffer materials."""
     if not ends:
         return {}
-    factors = [(abs(other.static) + abs(other.harmonic)) / (abs(own.static) + abs(own.harmonic)) for other in ends]
+    size, *sizes = ((abs(each.static) + abs(each.harmonic))[0] for each in (own, *ends))
+    factors = [float(other / size) for other in sizes]
     return {"material_band_low": min(1.0, *factors), "material_band_high": max(1.0, *factors)}

@@ -67,8 +67,12 @@ def choose_sizes(
 
 
 def largest_change(answers: Complex | Float, reference: Complex | Float) -> float:
-    """Return the largest relative difference from results of another mesh, both (n,). Raises SceneError for a 0."""
-    size = np.abs(reference)
+    """Return the largest relative difference from results of another mesh, both (n,), or (n, p) with the norm over p.
+
+    Raises SceneError for a reference of 0.
+    """
+    answers, reference = (values.reshape(len(reference), -1) for values in (answers, reference))
+    size = np.linalg.norm(reference, axis=1)
     if not np.all(size > 0.0):
         raise SceneError(f"reference values are {reference}; a relative error needs values other than 0")
-    return float(np.max(np.abs(answers - reference) / size))
+    return float(np.max(np.linalg.norm(answers - reference, axis=1) / size))

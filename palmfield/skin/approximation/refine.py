@@ -28,6 +28,10 @@ LEAST_MORE = 1.1
 ALIKE = 1.3
 """Least ratio of the numbers of triangles of two meshes whose difference measures the error. With 43 and 41 triangles
 on a small disc, the difference gave a fifth of the error."""
+MOST_ORDER = 3.0
+"""Highest order of convergence of quadratic elements: from one mesh to the next an error falls by no more. So a
+difference that is small by chance does not count. Edges of 8, 6, 4.5 and 3.4 mm had errors of 0.5, 8.3, 7.7 and 4.0 %
+on a sheet of 1.3 mm that is softer than the next."""
 SHRINK = 0.7
 """Extent of the smaller of two domains of an infinite slab, over that of the larger."""
 WIDER = 2.0
@@ -146,7 +150,8 @@ def refine_until_converged(
             break
         now, coarse = replace(now, sizes=resized(now.sizes, 1.0 / ratio, 1.0)), fine
         fine = run(now)
-        mesh_error = error_by_meshes(coarse, fine)
+        finer = max(math.sqrt(fine.triangles / coarse.triangles), 1.0)
+        mesh_error = np.maximum(error_by_meshes(coarse, fine), mesh_error / finer**MOST_ORDER)
     return ConvergedSolution(fine, now.sizes, mesh_error, rows_error, reach_error, judged)
 
 

@@ -255,6 +255,19 @@ def grow_until(
         before = now
 
 
+def steady_change(changes: Sequence[Any]) -> Float:
+    """Return the last of the changes by ROUND or more vectors, or a larger one if they fall irregularly.
+
+    Velocities after a jump converge in pairs of changes: .37, .052, .17 under a Traction whose model of 32 vectors had
+    the error .16 after the second. So a change is at least the one before, times the mean ratio of the last three.
+    """
+    last = np.asarray(changes[-1], dtype=float)
+    if len(changes) < 3:
+        return last
+    before, first = np.asarray(changes[-2], dtype=float), np.asarray(changes[-3], dtype=float)
+    return np.maximum(last, before * np.sqrt(np.minimum(last / np.where(first > 0.0, first, np.inf), 1.0)))
+
+
 def _halves(matrix: Any) -> list[Any]:
     """Return the upper and lower halves of the rows of an array or a csr matrix, without a copy."""
     half, rows = matrix.shape[0] // 2, matrix.shape[0]

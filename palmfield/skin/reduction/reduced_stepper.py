@@ -241,10 +241,10 @@ class ReducedStepper(SkinStepper):
         return np.stack([displaced, states[:, self.order : 2 * self.order] @ (self._moves.T @ reader.matrix)], axis=1)
 
     def projected(self, pressure_Pa: Float, operator: sparse.csr_matrix) -> Projection:
-        """Return the model with the force of a pressure at its points, (p,), and the readings of an operator."""
+        """Return the model with forces of pressures at its points, (p,) or (k, p), and the readings of an operator."""
         small = self.small
-        force = small.force @ (pressure_Pa @ self.shares)
-        return Projection(small.matrices, small.materials, force[:, None], operator @ self.vectors)
+        force = small.force @ np.atleast_2d(pressure_Pa @ self.shares).T
+        return Projection(small.matrices, small.materials, force, operator @ self.vectors)
 
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
         return self.projected(pressure_Pa, operator).harmonic(f_Hz)

@@ -1,13 +1,15 @@
-"""Reduced model of a body between inputs and outputs, accurate over a frequency band; and that of one point.
+"""Reduced model of a body between inputs and outputs, accurate over a frequency band; and that of a few points.
 
 The start of a load makes a lightly damped skin oscillate at its own frequencies. Only the time course shows this, not
 the static response and the response at the main frequency. A reduced model computes all three with one real
-factorisation, also for other materials on the same mesh.
+factorisation, also for other materials on the same mesh. A moving focus has many pressures. Matrices are symmetric, so vectors from a
+force on the first point represent its motion under all of them.
 """
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -99,60 +101,87 @@ def reduce(
     return Reduced(Projection(krylov.projected, dynamics.materials, vectors.T @ forces, read @ vectors), error)
 
 
-class PointModel:
-    """Motion of one point under one shape of force.
+class Course(NamedTuple):
+    """A load over time: factors of the main force, (t, 1), or of the forces of a path, (t, k), linear between times.
 
-    projection: the body in the vectors of the model, with force and reading. error: relative, see `point_model`.
-    supported: whether the body has a support, so that a static solution exists.
+    times: ascending [s], (t,). path: whether the factors are those of the path.
+    """
+
+    times: Float
+    factors: Float
+    path: bool = False
+
+
+class PointModel:
+    """Motion of p points under a main force, and of the first one under k forces of a path.
+
+    projection: the body in the vectors of the model, with forces (r, 1 + k) and readings (p, r).
+    error: relative, see `point_model`. supported: whether the body has a support, so that a static solution exists.
     """
 
     def __init__(self, projection: Projection, error: float, supported: bool) -> None:
         self.projection, self.error, self.supported = projection, error, supported
 
-    def static(self) -> float:
-        """Return the static displacement under the force [m]. Raises SceneError for a body without support."""
+    def static(self) -> Float:
+        """Return the static displacements under the force [m], (p,). Raises SceneError for a body without support."""
         if not self.supported:
             raise SceneError(
                 "a static solution needs a support: base and sides leave this body free; bond the base, or fix a side"
             )
-        return float(self.projection.moved(0.0, 0.0, [1.0] * len(self.projection.materials))[0].real)
+        return self.projection.moved(0.0, 0.0, [1.0] * len(self.projection.materials)).real
 
-    def harmonic(self, f_Hz: float) -> complex:
-        """Return the complex displacement [m] under the force times e^{-i w t}, exact in time."""
-        return complex(self.projection.harmonic(f_Hz)[0])
+    def harmonic(self, f_Hz: float) -> Complex:
+        """Return the complex displacements [m], (p,), under the force times e^{-i w t}, exact in time."""
+        return self.projection.harmonic(f_Hz)
 
-    def discrete(self, f_Hz: float, step_s: float) -> complex:
-        """Return the complex displacement [m] in the steady state of WedgeStepper, substeps `step_s` [s]; f_Hz > 0."""
-        return complex(self.projection.moved(*discrete_weights(self.projection.materials, f_Hz, step_s))[0])
+    def of_path(self, f_Hz: float) -> Complex:
+        """Return those of the first point under each force of the path, (k,)."""
+        small = self.projection
+        return replace(small, force=small.read[:1].T, read=small.force[:, 1:].T).harmonic(f_Hz)
 
-    def moved(self, level: Float, times: Float) -> Float:
-        """Return the displacement [m] at ascending times [s], (t,), exact in time; the body starts at rest.
+    def discrete(self, f_Hz: float, step_s: float) -> Complex:
+        """Return the same as `harmonic` in the steady state of WedgeStepper, substeps `step_s` [s]; f_Hz > 0."""
+        return self.projection.moved(*discrete_weights(self.projection.materials, f_Hz, step_s))
 
-        level: factor of the force at these times, linear between them, (t,)
-        """
+    def moved(self, course: Course) -> Float:
+        """Return displacement [m] and velocity [m/s], (2, t, p), exact in time; the body starts at rest."""
         with one_blas_thread:
-            return np.asarray(Reduced(self.projection, 0.0).run(level[:, None], times)[0][:, 0], dtype=float)
+            run = Reduced(self._along(course), 0.0).run(course.factors, course.times)
+            return np.array(run, dtype=float)
 
-    def stepped(self, level: Float, step_s: float) -> Float:
-        """Return the same as `moved` with the substeps of WedgeStepper, at the ends of steps of `step_s`, (t,)."""
-        mass, damping, elastic, *stiffness = (sparse.csr_matrix(matrix) for matrix in self.projection.matrices)
-        parts = [Part(each, law) for each, law in zip(stiffness, self.projection.materials, strict=True)]
-        scheme = Scheme(Matrices(mass, damping, elastic, parts), step_s, RHO_INF)
-        force, read = self.projection.force[:, 0], np.asarray(self.projection.read)[0]
+    def stepped(self, course: Course) -> Float:
+        """Return the same as `moved` with the substeps of WedgeStepper; the times are the ends of equal substeps."""
+        small = self._along(course)
+        mass, damping, elastic, *stiffness = (sparse.csr_matrix(matrix) for matrix in small.matrices)
+        parts = [Part(each, law) for each, law in zip(stiffness, small.materials, strict=True)]
+        scheme = Scheme(Matrices(mass, damping, elastic, parts), course.times[1] - course.times[0], RHO_INF)
         inverse = np.linalg.inv(scheme.effective().toarray())
         pushes = [(inverse @ term.matrix.toarray(), term.row) for term in scheme.terms]
-        pushed = inverse @ force
-        state = np.zeros((scheme.state_rows, len(force)))
-        seen = np.zeros(len(level))
+        before, after = course.factors[:-1], course.factors[1:]
+        state = np.zeros((scheme.state_rows, len(small.force)))
+        seen = np.zeros((2, len(course.times), len(small.read)))
         with one_blas_thread:
-            for n in range(1, len(level)):
-                mixed = scheme.alpha_f * level[n - 1] + (1.0 - scheme.alpha_f) * level[n]
-                x = mixed * pushed
+            mixed = (scheme.alpha_f * before + (1.0 - scheme.alpha_f) * after) @ (inverse @ small.force).T
+            for n, pushed in enumerate(mixed, 1):
+                x = pushed
                 for matrix, row in pushes:
                     x = x + matrix @ (row @ state)
                 state = scheme.advance @ state + np.outer(scheme.follow, x)
-                seen[n] = read @ state[0]
+                seen[:, n] = state[:2] @ small.read.T
         return seen
+
+    def smaller(self) -> "PointModel":
+        """Return the model without its last ROUND vectors."""
+        small, count = self.projection, max(len(self.projection.force) - ROUND, 1)
+        matrices = [matrix[:count, :count] for matrix in small.matrices]
+        less = Projection(matrices, small.materials, small.force[:count], small.read[:, :count])
+        return PointModel(less, self.error, self.supported)
+
+    def _along(self, course: Course) -> Projection:
+        small, path = self.projection, course.path
+        return replace(
+            small, force=small.force[:, 1:] if path else small.force[:, :1], read=small.read[: 1 if path else None]
+        )
 
 
 def point_model(
@@ -162,49 +191,61 @@ def point_model(
     main_Hz: float,
     highest_Hz: float,
     others: Sequence[SkinSystem] = (),
+    path: Float | None = None,
 ) -> list[PointModel]:
-    """Return models of the motion of a point of a layer under a force, by one real factorisation.
+    """Return models of the motion of points of a layer under a force, by one real factorisation.
 
-    force: force of the load at full level, (n,) [N]. read: vector that reads the point, (n,).
+    force: force of the load at full level, (n,) [N]. read: vectors that read the points, (p, n), or one, (n,).
     main_Hz, highest_Hz: main and highest frequency of the load.
     others: the layer with other materials, on the same mesh with the same conditions. Their models use the same vectors
         and follow that of the layer in the list. Their displacements are within 1 % for moduli of 0.6 to 1.7 times
         those of the layer (tests/skin/test_point_model.py).
     The error is SAFETY times the largest of three changes by the last ROUND or more vectors: of the motion over
-    WINDOW_S after a sudden start (L2), of the static displacement, and of the harmonic displacements in BAND. It is
-    above TOLERANCE if MOST_VECTORS are not enough. Models are stored in the cache (`palmfield.cache`).
+    WINDOW_S after a sudden start, of the static displacement, and of the harmonic displacements in BAND, also under the
+    forces of the path. Each is an L2 norm over points, times and forces. The error is above TOLERANCE if MOST_VECTORS
+    are not enough. Models are stored in the cache (`palmfield.cache`).
     Raises SceneError for a force or a reading of 0.
     """
     size = float(np.linalg.norm(force))
     if not size > 0.0 or not np.any(read):
         raise SceneError("a point model needs a force and a reading that are not 0")
-    unit = np.round(force / size, DIGITS)
+    read = np.atleast_2d(read)
+    unit, along = np.round(force / size, DIGITS), np.zeros((len(force), 0)) if path is None else path / size
+    forces = np.column_stack([unit, np.round(along, DIGITS)])
     highest_Hz = max(highest_Hz, main_Hz)  # key max_frequency_Hz may be lower than the main frequency
     shares = BAND if main_Hz <= max(BAND) * highest_Hz else (*BAND, 1.0)
 
     def make() -> cache.Arrays:
         dynamics = DynamicStiffness(system, system.elimination_order())
-        krylov = Krylov(dynamics, SHIFT * 2.0 * math.pi * highest_Hz, unit[:, None])
+        starts = unit[:, None] if path is None else np.column_stack([unit, read[0]])
+        krylov = Krylov(dynamics, SHIFT * 2.0 * math.pi * highest_Hz, starts)
         times: Float = np.linspace(0.0, WINDOW_S, MOMENTS)
 
         def model() -> PointModel:
             vectors = krylov.vectors
-            pushed, seen = vectors.T @ unit[:, None], (read @ vectors)[None]
+            pushed, seen = vectors.T @ forces, read @ vectors
             return PointModel(Projection(krylov.projected, dynamics.materials, pushed, seen), 0.0, system.supported)
 
-        def trial() -> tuple[Float, Complex]:
+        def trial() -> list[Complex]:
+            """Return the motion after a sudden start, and the response at rest and at some frequencies."""
             now = model()
-            lines: list[complex] = [now.harmonic(share * highest_Hz) for share in shares]
+            lines: list[Float | Complex] = [now.harmonic(share * highest_Hz) for share in shares]
             lines += [now.static()] if system.supported else []
-            return now.moved(np.ones(MOMENTS), times), np.array(lines)
+            paths = [] if path is None else [now.of_path(share * highest_Hz) for share in shares]
+            course = now.moved(Course(times, np.ones((MOMENTS, 1))))[0]
+            return [np.array(values, dtype=complex) for values in (course, lines, paths)]
 
         changes = []
 
-        def change(now: tuple[Float, Complex], before: tuple[Float, Complex]) -> float:
-            (course, lines), (course_before, lines_before) = now, before
-            scale = np.maximum(np.abs(lines), WEAK * np.abs(lines).max())
-            of_lines = np.abs(lines - lines_before) / scale
-            changes.append(max(float(np.linalg.norm(course - course_before) / np.linalg.norm(course)), *of_lines))
+        def change(now: list[Complex], before: list[Complex]) -> float:
+            (course, *lines), (course_before, *lines_before) = now, before
+            found = [float(np.linalg.norm(course - course_before) / np.linalg.norm(course))]
+            for mine, others in zip(lines, lines_before, strict=True):
+                if len(mine):
+                    size = np.linalg.norm(mine, axis=1)
+                    of_lines = np.linalg.norm(mine - others, axis=1) / np.maximum(size, WEAK * size.max())
+                    found.append(float(of_lines.max()))
+            changes.append(max(found))
             return changes[-1]
 
         with one_blas_thread:
@@ -225,7 +266,7 @@ def point_model(
             result[f"others_{number}"] = of_other
         return result
 
-    depends_on = system.made_of, [other.made_of for other in others], unit, read, shares, highest_Hz
+    depends_on = system.made_of, [other.made_of for other in others], forces, read, shares, highest_Hz, path is None
     stored = cache.kept("point-model", depends_on, make)
     systems = {"matrices": system} | {f"others_{number}": other for number, other in enumerate(others)}
     return [

@@ -26,7 +26,7 @@ from palmfield.skin.fem.traction import bell, sampled
 from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Traction, between, normals_on_face
 from palmfield.skin.projection import Projection
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
-from palmfield.skin.reduction.krylov import SAFETY, SHIFT, Krylov, TooManyVectorsError, grow_until
+from palmfield.skin.reduction.krylov import SAFETY, SHIFT, Krylov, TooManyVectorsError, grow_until, steady_change
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.solvers.wedges import first_sizes, last_dofs, on_mesh, refusal_wedges, slowest_wave
 from palmfield.skin.stepper import SurfaceLoads
@@ -121,7 +121,7 @@ def _run(
     tolerance: float,
     judged: int,
 ) -> tuple[MeshSolution, int, Float]:
-    """Return the solution on one mesh, its number of vectors, and its errors, from the change by the last vectors."""
+    """Return the solution on one mesh, its number of vectors, and its errors, from the changes by the last vectors."""
     system = build(body, discretisation.sizes)
     mesh = system.mesh
     if isinstance(load, Spot):
@@ -147,7 +147,7 @@ def _run(
         return np.where(begun, values, 0.0).swapaxes(0, 1).reshape(2, len(requested), -1, 3)
 
     normals = normals_on_face(body, points)
-    changes = [np.zeros(3)]
+    changes: list[Float] = []
 
     def change(now: Float, before: Float) -> float:
         changes.append(differences((before[0], before[1]), (now[0], now[1]), normals))
@@ -158,7 +158,7 @@ def _run(
     except TooManyVectorsError as limit:
         # The largest model still gives a result, with the error of its last vectors
         moved = cast(Float, limit.reached)
-    return on_mesh(system, moved[0], moved[1], normals), krylov.order, SAFETY * changes[-1]
+    return on_mesh(system, moved[0], moved[1], normals), krylov.order, SAFETY * steady_change(changes)
 
 
 def course(load: Load, weights: Float, requested: Float) -> tuple[Float, Float, Int]:
