@@ -53,8 +53,8 @@ class SteppedRun:
 
     left_small_model: whether the run changed from a reduced model or modes to the full wedge model.
     outside_class: share of the loads outside the load class of the modes, in the energy norm.
-    velocity_error: error of the velocity that modes add, None for other steppers.
     end_s: MuJoCo time at the end of the run [s].
+    velocity_error: error of the velocity that modes add, None for other steppers.
     """
 
     left_small_model: bool
@@ -82,9 +82,11 @@ def error_estimate(
     mesh: solvers with an ExplicitLayer report their own estimate of mesh and steps. For all others, Richardson's rule
         on the mesh of the scene and a coarser one (a finer one for few unknowns), see `meshes_to_compare`, by reduced
         models of the point. The result is the largest of three errors: of the static response, of the harmonic
-        response, and of the motion after the sound begins, with the level of the stimulus and a fixed focus. The last
-        is an L2 norm over time, to the end of the run, at most LONGEST_COURSE_S. The frequency is the main one of the
-        stimulus, or else half of the highest frequency of mesh and step.
+        response, and of the motion after the sound begins, to the end of the run, at most LONGEST_COURSE_S. Errors are
+        L2 norms over five points (`points_of_spot`), and over time; under a moving focus (`LoadCourse`) the motion is
+        that of the first point. The frequency is the main one of the stimulus, or else half of the highest frequency
+        of mesh and step.
+    SOURCE_velocity_error_relative: the same of the velocity, harmonic and over time; missing with an ExplicitLayer.
     step: the difference between the exact steady states of the discrete scheme and of the continuous equation, on the
         cheaper coarser mesh, or, if it is larger, the effect of the substeps on the motion after the sound begins. For
         reduced models (exact in time) and explicit solvers (shorter steps): linear interpolation of the load, sinc^2.
