@@ -2,8 +2,8 @@
 
 The start of a load makes a lightly damped skin oscillate at its own frequencies. Only the time course shows this, not
 the static response and the response at the main frequency. A reduced model computes all three with one real
-factorisation, also for other materials on the same mesh. A moving focus has many pressures. Matrices are symmetric, so vectors from
-a force on the first point represent its motion under all of them.
+factorisation, also for other materials on the same mesh. A moving focus has many pressures. Matrices are symmetric, so
+vectors from a force on the first point represent its motion under all of them.
 """
 
 import math
