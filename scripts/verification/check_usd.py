@@ -40,7 +40,7 @@ from palmfield.outputs import open_result
 from palmfield.outputs.motion import normal_component
 from palmfield.outputs.schema import instances, tree
 from palmfield.outputs.usd import Shown, validate_usd, write_usd
-from palmfield.outputs.usd.skeleton import identifiers
+from palmfield.outputs.usd.bodies import identifiers
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import keep_rows, processor
 from palmfield.types import Air

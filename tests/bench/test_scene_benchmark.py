@@ -10,8 +10,17 @@ import pytest
 import palmfield
 from palmfield.studies.bench import scene
 from palmfield.studies.bench.consumer_card import SHARE, BEGIN_s, Card, KERNEL_s, Work, predicted_s
-from palmfield.studies.bench.drawn import LEVELS, ASIDE_m, TILT_rad, draw_again, drawn_stimulus, move_arrays
-from palmfield.studies.bench.scene_run import node_areas, relative_errors, sounding
+from palmfield.studies.bench.scene_run import (
+    LEVELS,
+    ASIDE_m,
+    TILT_rad,
+    draw_again,
+    drawn_stimulus,
+    move_arrays,
+    node_areas,
+    relative_errors,
+    sounding,
+)
 
 pytestmark = pytest.mark.usefixtures("kept_operators")
 

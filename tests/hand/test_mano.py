@@ -10,8 +10,7 @@ import scipy.sparse
 import trimesh
 
 from palmfield.errors import SceneError
-from palmfield.hand.mano import JOINT_NAMES
-from palmfield.hand.meshfile import load_mesh, load_rigged
+from palmfield.hand.meshfile import JOINT_NAMES, load_mesh, load_rigged
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 

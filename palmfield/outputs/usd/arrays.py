@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from palmfield.outputs.frames import drive_frames, nearest
 from palmfield.outputs.schema import has_records
 from palmfield.outputs.usd.clock import Clock, rows_at
-from palmfield.outputs.usd.palette import Palette, cyclic_palette, indices_of, paint
+from palmfield.outputs.usd.looks import Palette, cyclic_palette, indices_of, paint
 from palmfield.outputs.usd.prims import Moves, add_mesh, add_primvar, describe_rounding, floats, integers, vectors
 from palmfield.outputs.usd.quantise import rounding
 from palmfield.outputs.usd.samples import Samples

@@ -1,22 +1,22 @@
-"""Write the bodies of a run to USD: poses, surface, bones, and the force of the sound on them."""
+"""Write the bodies of a run to USD: poses, surface, skeletons of articulated hands, and the force of the sound."""
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from pxr import Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
 from palmfield.hand.triangles import face_normals
 from palmfield.outputs.covered import smooth_normals, sunk
 from palmfield.outputs.frames import IDENTITY, nearest
 from palmfield.outputs.schema import has_records
 from palmfield.outputs.usd.clock import Clock, rows_at
-from palmfield.outputs.usd.prims import Moves, about, add_mesh, add_primvar, describe_rounding, floats, vector
+from palmfield.outputs.usd.prims import Moves, about, add_mesh, add_primvar, describe_rounding, floats, vector, vectors
 from palmfield.outputs.usd.quantise import rounding
 from palmfield.outputs.usd.samples import Samples
-from palmfield.outputs.usd.skeleton import BoneMoves, add_skeleton, bind, identifiers
 from palmfield.outputs.usd.skins import LOUDEST, SkinWriter, add_afferents
-from palmfield.types import Float, Int
+from palmfield.types import Float, Float32, Int
 
 SKIN_COLOUR = (0.70, 0.47, 0.36)
 """Colour of bodies and their skins without a coloured quantity."""
@@ -153,3 +153,59 @@ def steps_of(step_times: Float, times_s: Float) -> Int:
     At the start of the run it is the first step.
     """
     return np.maximum(0, np.searchsorted(step_times, times_s - 1e-9) - 1).astype(np.int32)
+
+
+def identifiers(names: Iterable[str]) -> dict[str, str]:
+    """Return unique names that USD allows for prims and joints. The keys are the original names."""
+    result: dict[str, str] = {}
+    for name in names:
+        # USD would remove a digit at the beginning
+        base = Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
+        used = set(result.values())
+        result[name] = next(n for k in range(len(used) + 1) if (n := f"{base}_{k}" if k else base) not in used)
+    return result
+
+
+def add_skeleton(stage: Usd.Stage, root: str, body: xr.Dataset) -> tuple[UsdSkel.Skeleton, UsdSkel.Animation]:
+    """Add a skeleton, and an animation without motion, under a UsdSkel root.
+
+    The frame of the root is that of the body.
+    """
+    skeleton = UsdSkel.Skeleton.Define(stage, f"{root}/Skeleton")
+    count = body.sizes["bone"]
+    labels = [str(n) for n in body["bone"].values] if "bone" in body.coords else [f"bone_{k:02d}" for k in range(count)]
+    names = list(identifiers(labels).values())
+    skeleton.CreateJointsAttr(names)
+    rest = [Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*origin)) for origin in body["bone_rest"].values.tolist()]
+    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray(rest))
+    skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray(rest))
+    animation = UsdSkel.Animation.Define(stage, f"{root}/Skeleton/Motion")
+    animation.CreateJointsAttr(names)
+    animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1.0, 1.0, 1.0)] * count))
+    UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+    return skeleton, animation
+
+
+class BoneMoves:
+    """Translations and rotations of the bones of a skeleton over time."""
+
+    def __init__(self, animation: UsdSkel.Animation):
+        self._moves = Samples(animation.CreateTranslationsAttr(), vectors)
+        self._turns = Samples(
+            animation.CreateRotationsAttr(), lambda turns: Vt.QuatfArray([Gf.Quatf(*turn) for turn in turns.tolist()])
+        )
+
+    def extend(self, codes: Sequence[float], poses: Float) -> None:
+        """Add poses of all bones in the body frame, shape (n, bones, 7), at rising time codes."""
+        self._moves.extend(codes, poses[..., :3])
+        self._turns.extend(codes, poses[..., 3:])
+
+
+def bind(mesh: UsdGeom.Mesh, skeleton: UsdSkel.Skeleton, bones: Int, weights: Float32) -> None:
+    """Let a mesh follow the skeleton by linear blending; bones, weights: shape (n, 4)."""
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    influences = bones.shape[1]
+    binding.CreateJointIndicesPrimvar(False, influences).Set(Vt.IntArray.FromNumpy(bones.ravel()))
+    binding.CreateJointWeightsPrimvar(False, influences).Set(Vt.FloatArray.FromNumpy(weights.ravel()))
+    binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))

@@ -9,7 +9,7 @@ from pxr import Gf, Usd, UsdGeom, Vt
 from palmfield.outputs.frames import check_time, pose_at, to_local, to_world
 from palmfield.outputs.sound import driven_arrays, sound_at, sounding_foci
 from palmfield.outputs.usd.clock import Clock
-from palmfield.outputs.usd.palette import Palette, indices_of, paint, palette_of
+from palmfield.outputs.usd.looks import Palette, indices_of, paint, palette_of
 from palmfield.outputs.usd.prims import about, add_mesh, add_primvar, describe_rounding, floats, integers, vectors
 from palmfield.outputs.usd.quantise import Rounding, rounding
 from palmfield.outputs.usd.quantities import QUANTITIES

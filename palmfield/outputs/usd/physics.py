@@ -13,9 +13,9 @@ from trimesh.creation import icosphere
 from palmfield.outputs.frames import nearest
 from palmfield.outputs.schema import has_records
 from palmfield.outputs.style import linear_rgb
+from palmfield.outputs.usd.bodies import identifiers
 from palmfield.outputs.usd.clock import Clock
 from palmfield.outputs.usd.prims import Moves, about, add_mesh, vectors
-from palmfield.outputs.usd.skeleton import identifiers
 from palmfield.types import Float
 
 ROOT = "/Scene/MuJoCo"

@@ -13,7 +13,7 @@ from palmfield.outputs.levels import LevelCourse
 from palmfield.outputs.motion import PIECE_BYTES
 from palmfield.outputs.schema import has_records
 from palmfield.outputs.usd.clock import Clock
-from palmfield.outputs.usd.palette import Palette, indices_of, paint
+from palmfield.outputs.usd.looks import Palette, indices_of, paint
 from palmfield.outputs.usd.prims import about, add_mesh, add_primvar, describe_rounding, floats, integers, vectors
 from palmfield.outputs.usd.quantise import Rounding, rounding
 from palmfield.outputs.usd.quantities import QUANTITIES, Quantity, values_at

@@ -1,13 +1,18 @@
-"""Write a result as a USD scene, frame by frame, so that memory does not grow with the run."""
+"""Write a result as a USD scene, frame by frame, so that memory does not grow with the run; foci, paths and legend."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
 import xarray as xr
-from pxr import Sdf, Tf, Usd, UsdGeom
+from matplotlib.path import Path as Outline
+from matplotlib.textpath import TextPath
+from matplotlib.ticker import MaxNLocator
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
+from scipy.spatial import Delaunay
 
 from palmfield.errors import OutputError
 from palmfield.outputs.camera import Camera, look_along_emission
@@ -16,22 +21,29 @@ from palmfield.outputs.levels import FLOOR_DB, LevelCourse, level_course
 from palmfield.outputs.schema import MUJOCO_SCENE, has_records, instances
 from palmfield.outputs.style import rounded_down
 from palmfield.outputs.usd.arrays import ArrayWriter
-from palmfield.outputs.usd.bodies import SKIN_COLOUR, BodyWriter
+from palmfield.outputs.usd.bodies import SKIN_COLOUR, BodyWriter, identifiers
 from palmfield.outputs.usd.clock import Clock, clock_of
 from palmfield.outputs.usd.field import add_field
-from palmfield.outputs.usd.legend import add_legend
-from palmfield.outputs.usd.looks import LEGEND_SHARE, PICTURE, add_camera, add_lights, add_material
-from palmfield.outputs.usd.palette import Palette, palette_of
+from palmfield.outputs.usd.looks import (
+    COLOURS,
+    LEGEND_SHARE,
+    PICTURE,
+    Palette,
+    add_camera,
+    add_lights,
+    add_material,
+    indices_of,
+    paint,
+    palette_of,
+)
 from palmfield.outputs.usd.physics import PhysicsWriter
-from palmfield.outputs.usd.prims import about
-from palmfield.outputs.usd.quantities import QUANTITIES
+from palmfield.outputs.usd.prims import about, add_lines, add_mesh, integers, vectors
+from palmfield.outputs.usd.quantities import QUANTITIES, Quantity
 from palmfield.outputs.usd.samples import Samples
 from palmfield.outputs.usd.shown import NO_COLOUR, Shown, check_shown
-from palmfield.outputs.usd.skeleton import identifiers
-from palmfield.outputs.usd.skins import SkinWriter, frame_blocks, ranges_of, recorded_quantities
+from palmfield.outputs.usd.skins import SkinWriter, frame_blocks, ranges_of, recorded_quantities, result_times
 from palmfield.outputs.usd.stage_file import SAVE_EVERY, StageFile, unwritable_scene
-from palmfield.outputs.usd.stimuli import StimulusWriter
-from palmfield.types import Float
+from palmfield.types import Float, Int
 
 FPS = 30.0
 FIELD_LEGEND_SHARE = 0.17
@@ -40,6 +52,20 @@ DISPLAYED_M = 2e-3
 """Displayed size of the largest motion at the default magnification [m]."""
 POINTS_BYTES = 8_000_000
 """Largest size of magnified points that are written by default [bytes]."""
+FOCUS_COLOUR = (0.06, 0.04, 0.55)
+PATH_COLOUR = (0.20, 0.18, 0.75)
+ARM_M = 3e-3
+WIDTH_M = 6e-4
+RESTS_M = 1e-6
+MOST_POINTS = 2000
+CROSS = ARM_M * np.stack([sign * np.eye(3)[k] for k in range(3) for sign in (-1.0, 1.0)])
+INK = (0.02, 0.02, 0.02)
+TALL = 0.55
+"""Height of the bar as a fraction of the picture height."""
+WIDE = 0.06
+"""Width of the whole legend as a fraction of the height of the bar."""
+TEXT = 0.05
+STEPS_A_LETTER = 14.0
 
 
 class _Writer(Protocol):
@@ -325,3 +351,126 @@ def _label(stage: Usd.Stage, root: Usd.Prim, result: xr.DataTree, shown: Shown, 
     stage.GetRootLayer().customLayerData = {"palmfield": facts}
     attribute = root.CreateAttribute("palmfield:time_s", Sdf.ValueTypeNames.Double, custom=True)
     about(attribute, units="s", sign="from the start of the run")
+
+
+class StimulusWriter:
+    """Writes one stimulus: positions of its foci, and whether it is active (USD visibility).
+
+    The prim contains Foci, a cross of three lines at each focus, and Path, a line for each focus that moves. The
+    attribute palmfield:foci contains the foci [m].
+    """
+
+    def __init__(self, stage: Usd.Stage, path: str, stimulus: xr.Dataset, clock: Clock):
+        self._stimulus = stimulus
+        prim = UsdGeom.Xform.Define(stage, path).GetPrim()
+        self._live = has_records(stimulus, "foci", "sounding") and len(clock.codes) > 0
+        if not self._live:
+            return
+        whole = result_times(clock, slice(0, len(clock.codes)))
+        step = whole.step * max(1, len(clock.codes) // MOST_POINTS)
+        foci = stimulus["foci"].isel(time=slice(whole.start, whole.stop, step)).values
+        lines = [line for focus in foci[0] for line in (focus + CROSS).reshape(3, 2, 3)]
+        crosses = add_lines(stage, f"{path}/Foci", lines, WIDTH_M, FOCUS_COLOUR)
+        # Extent of the whole path, for viewers that do not read it over time
+        low, high = foci.min(axis=(0, 1)) - ARM_M - WIDTH_M, foci.max(axis=(0, 1)) + ARM_M + WIDTH_M
+        crosses.GetExtentAttr().Set(Vt.Vec3fArray([Gf.Vec3f(*low.tolist()), Gf.Vec3f(*high.tolist())]))
+        ways = [way for way in np.moveaxis(foci, 1, 0) if np.ptp(way, axis=0).max() > RESTS_M]
+        if ways:
+            add_lines(stage, f"{path}/Path", ways, 0.5 * WIDTH_M, PATH_COLOUR)
+        attribute = prim.CreateAttribute("palmfield:foci", Sdf.ValueTypeNames.Double3Array, custom=True)
+        about(attribute, units="m", sign="focal points in the world, also while the stimulus is silent")
+        self._samples = (
+            Samples(crosses.GetPointsAttr(), vectors),
+            Samples(attribute, lambda points: Vt.Vec3dArray.FromNumpy(np.ascontiguousarray(points))),
+            Samples(crosses.CreateVisibilityAttr(), lambda on: "inherited" if on else "invisible"),
+        )
+
+    def write(self, clock: Clock, frames: slice) -> None:
+        """Write frames, which must be later than earlier ones."""
+        if not self._live:
+            return
+        times = result_times(clock, frames)
+        foci = self._stimulus["foci"].isel(time=times).values
+        sounding = self._stimulus["sounding"].isel(time=times).values
+        crosses, places, visible = self._samples
+        codes = clock.codes[frames].tolist()
+        crosses.extend(codes, (foci[:, :, None] + CROSS).reshape(len(codes), -1, 3))
+        places.extend(codes, foci)
+        visible.extend(codes, sounding)
+
+
+def add_legend(
+    stage: Usd.Stage, path: str, name: str, quantity: Quantity, palette: Palette, camera: Camera, depth_m: float
+) -> None:
+    """Add the legend of a quantity in the right part of the picture, at a distance [m] from the camera.
+
+    Its customData contains the quantity, low and high in the unit of the primvar, and the ticks in this unit and in the
+    displayed unit.
+    """
+    root = UsdGeom.Xform.Define(stage, path)
+    pixel = depth_m / camera.focal
+    height = TALL * PICTURE[1] * pixel
+    left = (LEGEND_SHARE + 0.02) * PICTURE[0] - camera.centre[0]
+    corner = camera.eye + depth_m * camera.forward + pixel * left * camera.right
+    corner = corner + (pixel * (camera.centre[1] - 0.5 * PICTURE[1]) - 0.5 * height) * camera.up
+
+    def placed(flat: Float) -> Float:
+        return corner + height * (flat[:, :1] * camera.right + flat[:, 1:] * camera.up)
+
+    rows = np.linspace(0.0, 1.0, COLOURS + 1)
+    sides = np.stack([np.zeros(COLOURS + 1), rows], axis=1), np.stack([np.full(COLOURS + 1, WIDE), rows], axis=1)
+    lower = np.arange(COLOURS)
+    right = lower + COLOURS + 1
+    quads = np.stack([lower, right, right + 1, lower + 1], axis=1)
+    bar = add_mesh(stage, f"{path}/Bar", placed(np.concatenate(sides)), quads, None)
+    colour = paint(bar, palette, "uniform", quantity=name, units=quantity.unit)
+    indices_of(colour).Set(integers(lower))
+    low, high = quantity.per_unit * palette.low, quantity.per_unit * palette.high
+    ticks: Float = np.asarray(MaxNLocator(7, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+    ticks = ticks[(ticks >= low - 1e-9 * (high - low)) & (ticks <= high + 1e-9 * (high - low))]
+    heights = (ticks - low) / (high - low)
+    about(
+        root.GetPrim(), quantity=name, units=quantity.unit, low=palette.low, high=palette.high, map=palette.map,
+        ticks=(ticks / quantity.per_unit).tolist(), shown_ticks=ticks.tolist(),
+        shown_units=quantity.shown_unit,
+    )  # fmt: skip
+    marks = np.concatenate([_box(WIDE, WIDE + 0.02, at - 0.002, at + 0.002) for at in heights])
+    add_mesh(stage, f"{path}/Ticks", placed(marks), np.arange(len(marks)).reshape(-1, 4), INK)
+    texts = [(WIDE + 0.03, at - 0.35 * TEXT, f"{0.0 if abs(tick) < 1e-12 else tick:g}".replace("-", "\u2212"))
+             for at, tick in zip(heights, ticks, strict=True)]  # fmt: skip
+    lines = [f"[{quantity.shown_unit}]", *reversed(quantity.title.split())]
+    texts += [(0.0, 1.0 + (0.6 + 1.3 * number) * TEXT, line) for number, line in enumerate(lines)]
+    points, faces = lettering(texts)
+    add_mesh(stage, f"{path}/Labels", placed(points), faces, INK)
+
+
+def _box(left: float, right: float, low: float, high: float) -> Float:
+    return np.array([[left, low], [right, low], [right, high], [left, high]])
+
+
+def lettering(texts: list[tuple[float, float, str]]) -> tuple[Float, Int]:
+    """Return texts at positions as flat triangles: points, shape (n, 2), and triangles, shape (m, 3)."""
+    points, faces, count = [], [], 0
+    for x, y, text in texts:
+        outline = TextPath((0.0, 0.0), text, size=1.0)
+        rings = [ring for ring in map(np.asarray, outline.to_polygons()) if len(ring) > 3]
+        dense = np.unique(np.concatenate([_dense(ring) for ring in rings]).round(6), axis=0)
+        corners = dense[Delaunay(dense).simplices]
+        # A triangle is part of a letter if an odd number of outlines encloses its centre
+        inside = np.zeros(len(corners), bool)
+        for ring in rings:
+            inside ^= Outline(ring).contains_points(corners.mean(axis=1))
+        kept = corners[inside].reshape(-1, 2)
+        points.append(TEXT * kept + [x, y])
+        faces.append(count + np.arange(len(kept)).reshape(-1, 3))
+        count += len(kept)
+    return np.concatenate(points), np.concatenate(faces)
+
+
+def _dense(ring: Float) -> Float:
+    """Return a closed outline whose point spacing is small compared with a letter."""
+    parts = []
+    for a, b in pairwise(ring):
+        count = max(1, int(np.ceil(np.linalg.norm(b - a) * STEPS_A_LETTER)))
+        parts.append(a + np.arange(count)[:, None] / count * (b - a))
+    return np.concatenate(parts)

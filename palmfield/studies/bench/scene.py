@@ -13,9 +13,8 @@ from palmfield.data import folder
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
 from palmfield.studies.bench.consumer_card import CARD
-from palmfield.studies.bench.drawn import LEVELS, SIZES, SPEEDS, ASIDE_m, TILT_rad
 from palmfield.studies.bench.field import check_writable, device_name, git_commit, written
-from palmfield.studies.bench.scene_run import Job, Task
+from palmfield.studies.bench.scene_run import LEVELS, SIZES, SPEEDS, ASIDE_m, Job, Task, TILT_rad
 from palmfield.studies.bench.table import processor
 from palmfield.terminal import bars
 

@@ -10,7 +10,7 @@ from palmfield.outputs.motion import normal_component
 from palmfield.outputs.schema import instances, tree
 from palmfield.outputs.store import Store, open_result
 from palmfield.outputs.usd import validate_usd, write_usd
-from palmfield.outputs.usd.skeleton import identifiers
+from palmfield.outputs.usd.bodies import identifiers
 
 PALM = "/Scene/Bodies/hand/Skins/palm"
 
