@@ -123,7 +123,7 @@ def mesh_error(
 
 
 def velocity_error(one: Float, other: Float, factor: float) -> float:
-    """Return the error of a velocity over time, (t, p), from another one, relative to the other one.
+    """Return the error of a velocity over time, (t, p), from another one, relative to the other one; as `Changes`.
 
     factor: ratio of error and difference at frequencies that both meshes resolve. At a frequency where the two are out
     of phase, the true motion differs from each as much as they differ from each other, so that no factor applies.
@@ -131,5 +131,7 @@ def velocity_error(one: Float, other: Float, factor: float) -> float:
     mine, theirs = (np.abs(np.fft.rfft(each, axis=0)) for each in (one, other))
     difference = np.abs(np.fft.rfft(one - other, axis=0))
     errors = np.minimum(factor * difference, np.maximum(difference, np.hypot(mine, theirs)))
-    size = float(np.linalg.norm(theirs))
-    return float(np.linalg.norm(errors)) / size if size > 0.0 else 0.0
+    parts = (
+        (float(np.linalg.norm(each[:, points])) for each in (errors, theirs)) for points in (slice(None), slice(1))
+    )
+    return max(error / size if size > 0.0 else 0.0 for error, size in parts)

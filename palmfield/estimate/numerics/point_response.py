@@ -83,7 +83,7 @@ def solve_all(responses: Sequence[Response]) -> None:
 
 
 class Changes(NamedTuple):
-    """Relative differences of two responses, L2 over the points.
+    """Relative differences of two responses: L2 over the points, or of the first point alone, whichever is larger.
 
     steady: of the static or harmonic displacement, the larger. harmonic: of the harmonic one.
     moved, velocity: of displacement and velocity over time, L2 over times too.
@@ -99,8 +99,15 @@ def changes(one: Response, other: Response, moved: dict[Response, Float]) -> Cha
     """Return the relative difference of two meshes. Raises SceneError if the second response is zero."""
     lines = [[response.harmonic, response.static] for response in (one, other)]
     mine, theirs = (np.array(line if other.layer.system.supported else line[:1]) for line in lines)
-    of_course = (course_change(moved[one][n], moved[other][n]) for n in range(2))
-    return Changes(largest_change(mine, theirs), largest_change(mine[:1], theirs[:1]), *of_course)
+    steady, harmonic = (
+        max(largest_change(mine[lines], theirs[lines]), largest_change(mine[lines, :1], theirs[lines, :1]))
+        for lines in (slice(None), slice(1))
+    )
+    of_course = (
+        max(course_change(moved[one][n][:, points], moved[other][n][:, points]) for points in (slice(None), slice(1)))
+        for n in range(2)
+    )
+    return Changes(steady, harmonic, *of_course)
 
 
 def course_change(course: Float, reference: Float) -> float:
