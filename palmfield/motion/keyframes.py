@@ -69,8 +69,8 @@ class Curve:
             # With these slopes the control points of an interval do not pass each other
             most = STEEPEST * np.minimum(np.concatenate([steep[:1], steep]), np.concatenate([steep, steep[-1:]]))
             slopes = np.clip(slopes, -most, most)
-            given = np.stack([values, slopes, np.zeros_like(values)], axis=1)
-            self._coefficients = PPoly.from_bernstein_basis(BPoly.from_derivatives(times_s, given)).c
+            derivatives = np.stack([values, slopes, np.zeros_like(values)], axis=1)
+            self._coefficients = PPoly.from_bernstein_basis(BPoly.from_derivatives(times_s, derivatives)).c
         else:
             self._coefficients = CubicHermiteSpline(times_s, values, slopes).c
         keys = Rotation.from_quat(quaternions, scalar_first=True)

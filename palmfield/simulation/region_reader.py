@@ -17,13 +17,13 @@ def region(
     Raises SceneError for an unknown skin, body or site, and for a skin without afferents.
     """
     element, names = AfferentsConfig.element(name), [skin.name for skin in skins]
-    wanted = config.skin or (names[0] if len(names) == 1 else "")
-    if wanted not in names:
-        raise SceneError(f"{element}: key 'skin' has value '{wanted}'; allowed: {', '.join(names)}")
-    number = names.index(wanted)
+    requested = config.skin or (names[0] if len(names) == 1 else "")
+    if requested not in names:
+        raise SceneError(f"{element}: key 'skin' has value '{requested}'; allowed: {', '.join(names)}")
+    number = names.index(requested)
     bodies, bone = owners[number], -1
     if skins[number].config.receptors == "off":
-        raise SceneError(f"{element} needs afferents, but receptors is 'off' at skin '{wanted}': set it to on")
+        raise SceneError(f"{element} needs afferents, but receptors is 'off' at skin '{requested}': set it to on")
     if config.body is not None:
         body = model.find("body", config.body, f"{element}: key 'body'")
         if body not in bodies:

@@ -128,8 +128,8 @@ def refine_until_converged(
     elif isinstance(body, Layer) and body.side == "absorbing":
         smaller = run(now, ratio_of(body, now.sizes), SHRINK)
         # Equal numbers of triangles: no outer ring was removed
-        taken = smaller.triangles < coarse.triangles
-        reach_error = BELT * difference(coarse, smaller) if taken else np.full(3, UNKNOWN)
+        removed = smaller.triangles < coarse.triangles
+        reach_error = BELT * difference(coarse, smaller) if removed else np.full(3, UNKNOWN)
     now, coarse, rows_error = refine_in_depth(body, now, run, coarse, accuracy, pinned, judged)
     fine = run(now)
     for _ in range(ROUNDS):

@@ -284,8 +284,8 @@ class ModalStepper(SkinStepper):
         return Outside(self._hidden * outside, whole, self._hidden * plain, plain_whole)
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
-        for known, made in self.body.readers:
-            if known() is operator:
+        for reference, made in self.body.readers:
+            if reference() is operator:
                 return made
         matrix = checked_operator(operator, self.unknowns)
         seen = np.zeros((self.padded, matrix.shape[0]))

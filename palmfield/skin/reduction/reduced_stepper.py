@@ -169,10 +169,10 @@ class ReducedStepper(SkinStepper):
     def _ways(self, loads: SurfaceLoads, substeps: int) -> tuple[Float, Float]:
         """Return the change of the state by a unit of each weight over a number of substeps, (w, 2 s, n), and the
         matrix of the state, (n, n)."""
-        known = self._leaps
-        if known is None or known[0] is not loads.pressure_Pa:
-            self._leaps = known = loads.pressure_Pa, {}
-        if substeps not in known[1]:
+        previous = self._leaps
+        if previous is None or previous[0] is not loads.pressure_Pa:
+            self._leaps = previous = loads.pressure_Pa, {}
+        if substeps not in previous[1]:
             with one_blas_thread:
                 forces = self._forces(loads)
                 pushes = np.stack([forces @ self.start, forces @ self.end], axis=1)
@@ -182,8 +182,8 @@ class ReducedStepper(SkinStepper):
                     power = power @ self.advance.T
                 # The first force acts through the most substeps, (w, start and end, s, k, n)
                 ways = np.stack(steps[::-1], axis=2).reshape(len(forces), -1, self.state_size)
-                known[1][substeps] = ways, power
-        return known[1][substeps]
+                previous[1][substeps] = ways, power
+        return previous[1][substeps]
 
     @staticmethod
     def _leap_of(state: Float, weights: Float, ways: Float, power: Float, own: slice) -> None:
@@ -202,9 +202,9 @@ class ReducedStepper(SkinStepper):
 
     def _forces(self, loads: SurfaceLoads) -> Float:
         """Return shares of force shapes (w, k, j) for patterns (w, k, q); w = 1 if all worlds have equal patterns."""
-        pressure, known = loads.pressure_Pa, self._fixed
-        if loads.fixed and known is not None and known[0] is pressure:
-            return known[1]
+        pressure, previous = loads.pressure_Pa, self._fixed
+        if loads.fixed and previous is not None and previous[0] is pressure:
+            return previous[1]
         own = pressure[:1] if pressure.strides[0] == 0 else pressure
         forces = np.asarray(own @ (self._single_shares if pressure.dtype == np.float32 else self.shares))
         if loads.fixed:
@@ -343,11 +343,11 @@ def known_model(
             return {"matrices": np.array(krylov.projected), "vectors": krylov.vectors, "facts": facts}
 
     depends_on = (system.made_of, mark, surface, point, step_s, highest_Hz, tolerance)
-    known = cache.kept("small-model", depends_on, make)
-    error, any_course = known["facts"].tolist()
-    unit = np.eye(known["vectors"].shape[1])
-    small = Projection(list(known["matrices"]), list(system.materials), unit, unit)
-    return small, known["vectors"], error, bool(any_course)
+    stored = cache.kept("small-model", depends_on, make)
+    error, any_course = stored["facts"].tolist()
+    unit = np.eye(stored["vectors"].shape[1])
+    small = Projection(list(stored["matrices"]), list(system.materials), unit, unit)
+    return small, stored["vectors"], error, bool(any_course)
 
 
 class _Trial:
