@@ -183,7 +183,7 @@ def head(device: str, commit: str) -> list[str]:
         f"    python scripts/bench_frames.py{option}",
         "",
         f"{place}; commit {commit}. Yardstick: one float64 product of 1000 x 1000 matrices on one thread took "
-        f"{1e3 * yard_s:.1f} ms; {os.cpu_count()} threads of plain hashing did {share:.2f} times the work of one. "
+        f"{1e3 * yard_s:.1f} ms; {os.cpu_count()} threads together did {share:.2f} times the hashing of one thread.  "
         f"The upper bound is the speed of NumPy's product of {SGEMM} x {SGEMM} float32 matrices: {peaks}.",
         "",
     ]
@@ -194,9 +194,9 @@ TEXT = f"""# Many frames on the same skin
 For developers. This page has the time to compute the ARP of {FRAMES} frames of 256 transducers (uhev1) at {POINTS}
 points of a dome {HEIGHT_M:g} m above the array. The frames move a focus {TURNS} times round a circle of
 {2e3 * RADIUS_M:g} mm, with exact phases or with phases rounded to 8 bits. `Transfer` computes the matrix of pressures
-and gradients once. `Transfer` then reduces the frames to the dimensions that they span, and computes the ARP of all
-frames by matrix products. The result has {4e-6 * FRAMES * POINTS:.0f} MB. Values are medians of {RUNS} runs. The error
-is the relative L2 difference from float64 over {CHECKED} frames.
+and gradients once. `Transfer` then finds a small basis of the frames (its size is the rank). With it, matrix products
+compute the ARP of all frames. The result has {4e-6 * FRAMES * POINTS:.0f} MB. Values are medians of {RUNS} runs.
+The error is the relative L2 difference from float64 over {CHECKED} frames.
 """
 
 CPU_TEXT = f"""

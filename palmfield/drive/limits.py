@@ -79,7 +79,7 @@ class SoundLimits:
 
 
 def _duty(stretches: Sequence[tuple[float, float]], duration_s: float) -> float:
-    """Return the largest share of any window of WINDOW_S, or of a shorter total, that the intervals cover."""
+    """Return the largest share that intervals cover of a window of WINDOW_S (of the total, if shorter)."""
     window = min(WINDOW_S, duration_s)
     if not stretches or window <= 0.0:
         return 0.0

@@ -145,8 +145,9 @@ def _shares(sheets: ArrayLike | None) -> Float:
 
 
 def upright_cosine(vertices: Float, faces: Int, inward: Float) -> Float:
-    """Return the area-weighted mean cosine of the direction of each vertex to its faces, shape (n,), >=
-    LEAST_UPRIGHT.
+    """Return the mean cosine between the direction of each vertex and its face normals, shape (n,).
+
+    The mean is weighted by area; values are at least LEAST_UPRIGHT.
     """
     unit, area = face_normals(vertices, faces)
     cosine = -np.einsum("ijk,ik->ij", inward[faces], unit) * area[:, None]

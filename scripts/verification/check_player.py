@@ -30,7 +30,7 @@ which skips no packet. If the player is late by a packet or more, it sends the n
 process of higher priority counts the packets that were due in pauses of the virtual machine.
 
 *Line* is the delay of the last byte of a packet. *Hand-over* is the delay until the system had the packet. *Lost*
-packets were handed over but not received. AUTD packets use 78 % of their line, which needs four times the length of
+packets were handed over but not received. AUTD packets use 78 % of their line, so it takes four times the length of
 a delay to catch up. SonicSurface frames use the whole line, so a delay does not decrease again."""
 
 

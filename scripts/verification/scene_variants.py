@@ -240,7 +240,10 @@ def mirrored(name: str, folder: Path) -> Variant:
 
 
 def mirror_path_on_skin(instance: ET.Element) -> None:
-    """Change the sign of y: on skin, y of a path is to the left of its x, seen from outside, on both hands."""
+    """Mirror a path on skin by the sign of its y.
+
+    On both hands, y of a path is to the left of its x, seen from outside.
+    """
     if key(instance, "path") != "z":
         raise NotImplementedError(f"path {key(instance, 'path')} on skin")
     x, y = (0.5 * float(key(instance, f"path_{side}_m") or "nan") for side in ("width", "height"))

@@ -37,9 +37,9 @@ Linux stops threads with real-time priority (the player) for 50 ms if other thre
 """
 MAKING_SHARE = 0.9
 LAST_MADE = 50
-"""Number of last frames whose making times set the lead at which the next frame is made.
+"""Number of last frames whose computing times determine how early the next frame is computed.
 
-The lead is the MAKING_SHARE quantile of these times.
+The lead time is the MAKING_SHARE quantile of these times.
 """
 STALE_S = 1.0
 """Time without a frame after which the board becomes silent [s]."""

@@ -173,7 +173,7 @@ def fourier_bessel(radius_m: float, k_end: float) -> tuple[Float, Float]:
 
 
 def polar(rule: RadialRule, angles: Int) -> WaveSet:
-    """Return the plane waves of the infinite slab: integral of k dk d(angle) / 4 pi^2, trapezoid rule in angle."""
+    """Return the plane waves of the infinite slab, with weights k dk d(angle) / 4 pi^2 (trapezoid rule in angle)."""
     group, vectors, weights = [], [], []
     for number, (k, weight, count) in enumerate(zip(rule.wavenumbers, rule.weights, angles, strict=True)):
         direction = 2.0 * np.pi * np.arange(count // 2) / count
