@@ -96,7 +96,7 @@ def probe_strain(depth_m: ArrayLike, radius_m: float = PROBE_M, distance_m: Arra
 
 
 def probe_displacement(depth_m: ArrayLike, radius_m: float = PROBE_M, distance_m: ArrayLike = 0.0) -> Float:
-    """Return the displacement along the normal under a flat round probe, over that of the probe, as `probe_strain`."""
+    """Return the normal displacement under a flat round probe, relative to the probe; arguments of `probe_strain`."""
     z, place, q = _under_probe(depth_m, radius_m, distance_m)
     moved: Float = (2.0 / np.pi) * np.imag(np.log(place + q) - z / q)
     return moved
@@ -207,7 +207,7 @@ def _parts_of(step_s: float) -> tuple[int, float]:
 
 
 def _between(motion: Float, parts: int) -> Float:
-    """Return samples with others linearly between them, parts for each of them but the last, (k, n)."""
+    """Return samples with linear interpolation, `parts` steps from each sample to the next, (k, n)."""
     if parts == 1 or len(motion) < 2:
         return motion
     shares = (np.arange(parts) / parts)[:, None]

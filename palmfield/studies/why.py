@@ -38,7 +38,7 @@ FELT_Hz = 4.0, 600.0
 """Frequencies at which people feel motion of some micrometres."""
 BEST_Hz = 100.0, 300.0
 MOMENTS = 256
-"""Number of moments at which the loudest one of a stimulus is searched."""
+"""Number of moments among which the loudest one of a stimulus is selected."""
 DISTANCES_m = np.arange(0.04, 0.61, 0.02)
 """Distances of foci with which that of a scene is compared."""
 WEAK, FAR = 0.5, 0.35

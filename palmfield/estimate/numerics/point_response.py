@@ -14,9 +14,9 @@ from palmfield.types import Complex, Float
 MOST_AT_ONCE = 2
 """Largest number of parallel factorisations: each factor of a palm takes a third of a gigabyte."""
 ROUND_SPOT = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
-"""Points at which meshes are compared, in quarters of the width of the spot, a third of the usual edges. Errors may
-cancel at one: on a palm under 226 Hz, edges of 0.87 times the length changed the middle by 0.05 %, and these points by
-0.64 %, with a true error of 1.2 %."""
+"""Points at which meshes are compared. The unit is a quarter of the spot width (a third of the usual edges). Errors may
+cancel at one point: on a palm under 226 Hz, edges of 0.87 times the length changed the middle by 0.05 %, and these
+points by 0.64 %, with a true error of 1.2 %."""
 
 
 def points_of_spot(layer: SceneLayer, point: Float) -> Float:
