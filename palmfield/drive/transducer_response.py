@@ -434,7 +434,7 @@ def instant(time_s: float) -> Moments:
 def combined(courses: Sequence[EmittedCourse]) -> EmittedCourse:
     """Return the sum over simultaneous stimuli, at the same moments; no transducer belongs to two stimuli.
 
-    Levels of one unit drive stay if the other stimuli are silent.
+    If all stimuli except one are silent, the result keeps the levels and the unit drive of that one.
     """
     if len(courses) == 1:
         return courses[0]

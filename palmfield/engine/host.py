@@ -133,7 +133,7 @@ def compiling() -> Iterator[None]:
 
 
 def pop_compile_error() -> Exception | KeyboardInterrupt | None:
-    """Return and remove the last error of a module constructor in this thread. MuJoCo only quotes its text."""
+    """Return and remove the last error of a module constructor in this thread. MuJoCo's own error has only its text."""
     error, _compiling.error, _compiling.sizing = _compiling.error, None, None
     return error
 
