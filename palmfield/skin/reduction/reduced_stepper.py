@@ -98,7 +98,8 @@ class ReducedStepper(SkinStepper):
         self.shares = np.ascontiguousarray(shares)
         # Pressures are in single precision, so shares are too: half the memory takes half the reading time
         self._single_shares = self.shares.astype(np.float32)
-        self._decoupled = self.model.decoupled(step_s)
+        with one_blas_thread:
+            self._decoupled = self.model.decoupled(step_s)
         # Results for the last constant pressures
         self._fixed: tuple[Float | Float32, Float] | None = None
         self._leaps: tuple[Float | Float32, dict[int, tuple[Float, Float]]] | None = None
