@@ -4,8 +4,9 @@
 
 Each command runs in its own process, with caches of results and of kernels in temporary folders. "Empty" begins with
 both caches empty. The rows "another focus", "another frequency" and "another level" begin with the caches that the
-command of the demo has left. Prints a table in Markdown, medians of wall time, processor time (user and system) and
-memory, and draws the processor time by phase (`palmfield run --profile`).
+command of the demo has left. Prints commit, processor, load of the machine, the time of a fixed kernel (`yardstick`)
+before and after, and a table in Markdown: medians of wall time, processor time (user and system) and memory. The wall
+times are valid for a load below 0.5 before. Draws the processor time by phase (`palmfield run --profile`).
 """
 
 import argparse
@@ -139,10 +140,14 @@ def main() -> None:
     parser.add_argument("--times", type=int, default=5)
     parser.add_argument("--picture", type=Path, help="where the bars of phases are drawn")
     options = parser.parse_args()
-    yard_ms = 1e3 * statistics.median(yardstick() for _ in range(5))
+    before, yard_ms = os.getloadavg()[0], 1e3 * statistics.median(yardstick() for _ in range(5))
     with tempfile.TemporaryDirectory() as folder:
         runs = measured(options.times, Path(folder))
-    print(f"{processor()}, {os.cpu_count()} cores, Python {sys.version.split()[0]}, yardstick {yard_ms:.1f} ms\n")
+    commit = subprocess.run(["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout
+    print(f"commit {commit.strip()}, {processor()}, {os.cpu_count()} cores, Python {sys.version.split()[0]}")
+    after_ms = 1e3 * statistics.median(yardstick() for _ in range(5))
+    loads = f"load {before:.1f} before, {os.getloadavg()[0]:.1f} after"
+    print(f"yardstick {yard_ms:.1f} ms before, {after_ms:.1f} ms after; {loads}\n")
     print("| what | wall [s] | CPU [s] | memory [MiB] |\n|---|---|---|---|")
     for name, own in runs.items():
         wall, cpu, peak = (statistics.median(getattr(one, field) for one in own) for field in Run._fields[:3])
