@@ -247,10 +247,16 @@ def _load(module: wp.Module, device: str, block_dim: int) -> None:
 
 @contextmanager
 def _alone(compiled: Path) -> Iterator[None]:
-    """Wait for another process that compiles this module, which is then read from the folder."""
-    lock = filelock.FileLock(f"{compiled}.lock", timeout=WAIT_S)
-    with suppress(OSError, NotImplementedError, filelock.Timeout):  # then both processes compile it
-        lock.acquire()
+    """Wait for another process that compiles this module, which is then read from the folder; not beyond the end of
+    this process."""
+    lock = filelock.FileLock(f"{compiled}.lock", timeout=1.0)
+    with suppress(OSError, NotImplementedError):  # then both processes compile it
+        for _ in range(round(WAIT_S)):
+            if _ends.is_set():
+                raise RuntimeError("this process ends")
+            with suppress(filelock.Timeout):
+                lock.acquire()
+                break
     try:
         yield
     finally:
@@ -262,6 +268,8 @@ def _alone(compiled: Path) -> Iterator[None]:
 _Load = tuple[_Loader, tuple[Future[None], Callable[[], None]]]
 _loads: dict[Any, dict[tuple[str, int], _Load]] = {}
 _loaders: dict[object, _Loader] = {}
+_ends = threading.Event()
+"""Set when the process ends."""
 
 
 def _load_of(module: Any, device: str, block_dim: int) -> _Load:
@@ -302,6 +310,7 @@ def load_kernels(module: Any, device: str, block_dim: int = THREADS) -> None:
 
 def _end_loading() -> None:
     """Let compilers finish their present module, and start no other one. They must not run while the process ends."""
+    _ends.set()
     for loader in list(_loaders.values()):
         loader.waiting.clear()
         with loader.busy:

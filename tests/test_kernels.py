@@ -8,13 +8,14 @@ import threading
 import time
 from pathlib import Path
 
+import filelock
 import numpy as np
 import pytest
 import warp as wp
 
 import palmfield
 from palmfield import device
-from warp_kernels import EXACT
+from warp_kernels import EXACT, mesh_query
 
 SCENE = str(Path(palmfield.__file__).parents[1] / "mjcf" / "scenes" / "palm_am200.xml")
 
@@ -131,6 +132,16 @@ print(mesh_query.__name__)
     assert [process.communicate()[0] for process in both] == ["warp_kernels.mesh_query\n"] * 2
     assert (tmp_path / "builds").read_text() == "one "
     assert not list(tmp_path.rglob("*.lock"))
+
+
+def test_a_process_that_ends_does_not_wait_for_the_compiler_of_another(tmp_path):
+    name = wp.get_module(mesh_query.__name__).get_module_identifier(block_dim=1)
+    (tmp_path / wp.__version__).mkdir()
+    code = "from palmfield import device\nfrom warp_kernels import mesh_query\ndevice.load_ahead([mesh_query], 'cpu')"
+    code += "\nwhile not device.absent: pass"
+    with filelock.FileLock(tmp_path / wp.__version__ / f"{name}.lock"):
+        assert run(code, tmp_path).returncode == 0
+    assert not list(tmp_path.rglob("*.o"))
 
 
 def test_kernels_of_another_processor_compiler_or_warp_are_not_used(usual_folder, monkeypatch):
