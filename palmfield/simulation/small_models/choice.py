@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.phases import phase
 from palmfield.simulation.model import HapticModel, StimulusModel
@@ -69,7 +70,7 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     part = model.skins[skin]
     if (own := part.solver.stepper(model.spec.device)) is not None:
         return own
-    with part.spec.naming():
+    with part.spec.naming(), one_blas_thread:
         try:
             if not part.choice.solver.any_pose:
                 return known_load.known_stepper(model, skin)
