@@ -59,12 +59,12 @@ class StillSteps(HostBackend):
         self._able = models[0].free and len(models[0].stimuli) == 1 and not works[0].emission.holds
         self._block: Block | None = None
         self._number = 0
-        self._last: PosedScene | None = None
+        self._last = 0  # serial number of the pose of the last step
         self._not_before = -np.inf
 
     def forget(self) -> None:
         super().forget()
-        self._block, self._last, self._not_before = None, None, -np.inf
+        self._block, self._last, self._not_before = None, 0, -np.inf
 
     def leave_out(self, world: int) -> None:
         self._able = False
@@ -76,7 +76,7 @@ class StillSteps(HostBackend):
             return NOBODY
         posed = frames.posed(free)[0]
         if not self._goes_on(posed, t0):
-            still, self._last, self._block = posed is self._last, posed, None
+            still, self._last, self._block = posed.serial == self._last, posed.serial, None
             if still and t0 >= self._not_before:
                 with one_blas_thread:
                     self._block, self._number = self._computed(posed, t0), 0
@@ -89,9 +89,10 @@ class StillSteps(HostBackend):
     def _goes_on(self, posed: PosedScene, t0: float) -> bool:
         """Return whether the step from t0 [s] on is the next step of the block."""
         block, step = self._block, self._number
-        if block is None or step == STEPS or posed is not block.posed or abs(t0 - block.starts[step]) > TICK_S:
+        if block is None or step == STEPS or posed.serial != block.posed.serial:
             return False
-        return bool(np.logical_and.reduce(self.state.emission()[0] == block.emitted[step]))
+        in_time = abs(t0 - block.starts[step]) <= TICK_S
+        return in_time and bool(np.logical_and.reduce(self.state.emission()[0] == block.emitted[step]))
 
     def _computed(self, posed: PosedScene, t0: float) -> Block | None:
         """Compute the steps from t0 [s] on. Returns None if the level jumps in them."""

@@ -11,8 +11,7 @@ from scipy import sparse
 from palmfield import cache
 from palmfield.blas import one_blas_thread
 from palmfield.motion.rates import PAIRS
-from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.mesh.element import CORNERS, corner_slopes, displacement_shape, prism_rule
+from palmfield.skin.fem.assembly import SkinSystem, element_matrices
 from palmfield.skin.projection import Projection
 from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.reduction.reducer import reduce
@@ -45,12 +44,8 @@ def inertial_forces(system: SkinSystem, shares: Float) -> Float:
     shares: weight of each bone at each node of the surface, which applies to all nodes below it, shape (bones, S)
     """
     mesh, rows = system.mesh, system.made_of[1]
-    points, rule = prism_rule()
-    values, _ = displacement_shape(points)
-    corners = mesh.nodes[mesh.elements[:, CORNERS]]
-    volumes = np.linalg.det(np.einsum("mcx,qcd->mqxd", corners, corner_slopes(points))) * rule
-    masses = np.repeat([row.density_kg_m3 for row in rows], len(mesh.surface_triangles6))[:, None] * volumes
-    blocks = np.einsum("mq,qi,qj->mij", masses, values, values, optimize=True)
+    densities = np.repeat([row.density_kg_m3 for row in rows], len(mesh.surface_triangles6))
+    blocks = densities[:, None, None] * element_matrices(mesh)[2]
     across = np.broadcast_to(mesh.elements[:, :, None], blocks.shape)
     places = across.ravel(), across.swapaxes(1, 2).ravel()
     mass = sparse.coo_matrix((blocks.ravel(), places), shape=(len(mesh.nodes),) * 2).tocsr()
