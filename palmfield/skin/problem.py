@@ -31,7 +31,7 @@ SHAPES = ("infinite", "disc", "box")
 LEAST_M, THICKEST_M, WIDEST_M = 1e-4, 1.0, 10.0
 """Limits of slab sizes [m]. Larger sizes are probably lengths in millimetres. Below the first, waves cross the slab so
 fast that a solution takes too long."""
-ONLY_WEDGES = "only the solvers wedges and reduced support a Foundation: choose one of them, or use another base"
+ONLY_WEDGES = "only wedges, reduced and lateral_waves support a Foundation: choose one of them, or use another base"
 """Error message of other solvers for a body with a Foundation."""
 GAUSSIAN = 4.0 * math.log(2.0)
 """exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""

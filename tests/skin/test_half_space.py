@@ -7,6 +7,7 @@ import pytest
 from half_space import angle_wavenumbers, midpoint_sheets, reflection, surface_stiffness
 from half_space import impedance as exact_impedance
 
+from palmfield.estimate.numerics.base_band import responses
 from palmfield.skin.endless import half_space
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.depth import condensed, impedance, on_impedance
@@ -20,7 +21,9 @@ from palmfield.skin.materials.material import Sheet
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import GAUSSIAN, spread
+from palmfield.skin.problem import GAUSSIAN, SkinProblem, Slab, Spot, spread
+from palmfield.skin.solvers.lateral_waves.modes import depth_problem
+from palmfield.skin.solvers.lateral_waves.solve import solve_lateral_waves
 from palmfield.skin.stepper import SurfaceLoads
 
 pytestmark = pytest.mark.numerics
@@ -203,3 +206,35 @@ def test_under_a_mean_load_it_comes_to_rest():
         moved.append(float(force @ state[0, : system.ndof]) / rest - 1.0)
     print(moved)
     assert max(map(abs, moved)) < 1e-3
+
+
+@pytest.mark.parametrize("k", [20.0, 150.0, 600.0])
+def test_matrices_of_lateral_waves_on_it_have_its_impedance(k):
+    """Against the impedance of the sheets, at each frequency."""
+    palm = preset("palm")
+    slab = Slab((Sheet(palm, 0.0075),), base=half_space(palm))
+    problem = depth_problem(slab, k, (12,))
+    for f_Hz in (0.5, 50.0, 200.0, 800.0):
+        rate = 2j * np.pi * f_Hz
+        stiffness = rate**2 * problem.mass + problem.strain.T @ problem.strain
+        stiffness = stiffness - rate * (problem.viscous.T @ problem.viscous)
+        for part in problem.relaxing:
+            for shear, tau in part.branches:
+                stiffness -= shear * rate * tau / (1.0 - rate * tau) * (part.strain.T @ part.strain)
+        found = np.linalg.inv(stiffness)[problem.normal, problem.normal]
+        base = slab.base
+        under = impedance(np.array([k]), f_Hz, base.sheets, base.base, base.degree)
+        exact = on_impedance(condensed(np.array([k]), f_Hz, slab.sheets), under)[0]
+        assert found == pytest.approx(exact, rel=1e-8)
+
+
+def test_a_spot_on_lateral_waves_moves_as_its_sheets():
+    """Amplitude under a sine of 100 Hz, after its onset."""
+    palm, times = preset("palm"), np.linspace(0.0, 0.06, 601)
+    slab = Slab((Sheet(palm, 0.0075),), base=half_space(palm))
+    course = np.minimum(times / 0.01, 1.0) * np.sin(200.0 * np.pi * times)
+    load = Spot(0.0103, times, course, np.zeros((601, 2)))
+    moved = solve_lateral_waves(SkinProblem(slab, load, times[-100:], np.zeros((1, 3)), 0.02)).displacement_m[:, 0, 2]
+    phase = 200.0 * np.pi * times[-100:]
+    parts = np.linalg.lstsq(np.column_stack([np.cos(phase), np.sin(phase)]), moved, rcond=None)[0]
+    assert np.hypot(*parts) == pytest.approx(responses(slab.sheets, 0.0103, 100.0, [slab.base])[0], rel=0.01)

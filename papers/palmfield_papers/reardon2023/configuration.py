@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
 
-from palmfield.skin import Material, Sheet, Slab, kelvin_voigt
+from palmfield.skin import Material, Sheet, Slab, half_space, kelvin_voigt
 from palmfield_papers.answer import Setting
 
 DENSITY_kg_m3 = 923.5
@@ -17,14 +17,14 @@ FASTER = 1.4
 """Factor of the shear speed in control `wave_speed`."""
 
 
-Back = Literal["free", "bonded"]
+Back = Literal["free", "bonded", "deep"]
 
 
 @dataclass(frozen=True)
 class Plate:
     """A slab.
 
-    back: "free" or "bonded"
+    back: "free", "bonded", or "deep" (the material without end below)
     rim: "absorbing" (infinite slab) or "reflecting" (a frictionless wall around the 25 cm)
     """
 
@@ -45,9 +45,10 @@ class Plate:
     def slab(self) -> Slab:
         """Return the slab in the form for `palmfield.skin`."""
         sheets = (Sheet(self.material, self.thickness_m),)
+        base = half_space(self.material) if self.back == "deep" else self.back
         if self.rim == "reflecting":
-            return Slab(sheets, shape="disc", base=self.back, side="roller", radius_m=RADIUS_m)
-        return Slab(sheets, base=self.back)
+            return Slab(sheets, shape="disc", base=base, side="roller", radius_m=RADIUS_m)
+        return Slab(sheets, base=base)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,8 @@ from palmfield_papers.reardon2023.resolution import QUICK_LEAST
 from palmfield_papers.reardon2023.runs import COARSE, FULL, QUICK, GRID_m, run
 from palmfield_papers.reardon2023.scan_numbers import Pass, SILENCE_s, STEP_s, band_passed, numbers
 
-BASES: tuple[Back, ...] = ("bonded", "free")
+BASES: tuple[Back, ...] = ("bonded", "free", "deep")
+"""Bases of the skin; the last, tissue without end, is none of a plate."""
 MODULI = ("mid", "low", "high")
 DEPTHS_m = {"hand": (0.0045, 0.0075, 0.012), "plate": (0.009, 0.01, 0.011)}
 """Depths of the skin [m]: pulp, pads, and palm of the hand presets (docs/data/hand_depths.csv)."""
@@ -53,8 +54,8 @@ def skins(preset: str, depths_m: Sequence[float], fwhm_m: float, quick: bool) ->
     """Return the skins of the band, a middle one first. quick: whether only one quantity is varied at a time"""
     refuse_unknown(MeasurementError, "setting: material is {}", preset, CATALOGUE)
     middle = depths_m[len(depths_m) // 2]
-    found = []
-    for base, depth, moduli in product(BASES, sorted(depths_m, key=lambda one: one != middle), MODULI):
+    found, bases = [], BASES[:-1] if preset == MATERIALS["plate"] else BASES
+    for base, depth, moduli in product(bases, sorted(depths_m, key=lambda one: one != middle), MODULI):
         if depth == middle or moduli == "mid" or not quick:
             material = Tissue(preset=preset, moduli=moduli).material
             speed = describe(material, FAST_Hz).shear_speed_m_s

@@ -37,6 +37,8 @@ LEAST_QUIET_s = 5e-3
 DRAWS, SIGMAS = 16, 2.0
 """Number of noise records added to the measured one; standard deviations by which a number may leave a band."""
 INSIDE, OUTSIDE, UNRESOLVED = "inside", "outside", "not resolved"
+BARS = (*COLOURS[1:], "#a16207")
+"""Colours of the bases."""
 
 
 @dataclass(frozen=True)
@@ -172,9 +174,7 @@ def _bars(axes: Axes, title: str, shown: Mapping[str, Verdict]) -> None:
         width = 0.7 / len(bases)
         for number, base in enumerate(bases):
             (low, high), x = one.bands[base], place + (number - 0.5 * (len(bases) - 1)) * width
-            axes.bar(
-                x, high - low, width, low, color=COLOURS[1:][number % 2], alpha=0.4, label=base if place == 0 else ""
-            )
+            axes.bar(x, high - low, width, low, color=BARS[number], alpha=0.4, label=base if place == 0 else "")
         colour = {INSIDE: "black", OUTSIDE: COLOURS[0], UNRESOLVED: "#999999"}[one.verdicts[ALL]]
         axes.errorbar(place, one.measured, one.error, fmt="o", ms=4.0, color=colour, capsize=2.0)
     axes.set_title(title, fontsize=8)

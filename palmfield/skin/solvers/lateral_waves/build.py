@@ -9,8 +9,7 @@ from scipy.special import j0
 
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import distance_to_sides, load_width, pressure_at_sides
-from palmfield.skin.base import Foundation
-from palmfield.skin.problem import GAUSSIAN, ONLY_WEDGES, Body, Load, Slab, Spot, spread
+from palmfield.skin.problem import GAUSSIAN, Body, Load, Slab, Spot, spread
 from palmfield.skin.solvers.lateral_waves.march import spot_transform
 from palmfield.skin.solvers.lateral_waves.modes import FaceModes, depth_problem, face_modes, still_modes
 from palmfield.skin.solvers.lateral_waves.resolution import SUDDEN_1_S, Resolution
@@ -51,8 +50,6 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
     """Return the reason why solver lateral_waves cannot solve a problem, in one sentence, or None."""
     if not isinstance(body, Slab):
         return "it solves flat slabs, but this is a layer on a surface"
-    if isinstance(body.base, Foundation):
-        return ONLY_WEDGES
     if body.shape != "infinite" and body.side != "roller":
         return f"a {body.shape} with {body.side} sides has no simple lateral waves; use side='roller'"
     if body.shape == "disc" and not (isinstance(load, Spot) and is_still(load) and not load.centres().any()):

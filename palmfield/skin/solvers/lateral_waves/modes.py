@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from palmfield.skin.base import Springs
+from palmfield.skin.base import Foundation, Springs
 from palmfield.skin.materials.material import Material
 from palmfield.skin.problem import Slab
 from palmfield.types import Complex, Float
@@ -85,9 +85,13 @@ def sheet_matrices(k: float, thickness_m: float, degree: int) -> tuple[Float, Fl
     """Return mass, dilation rows and shear rows of one sheet for unit density, K and G; unknowns are U, then W.
 
     Twice the energy is the sum of squares of the rows times u. Dilation: shape (p + 1, 2p + 2). Shear, with a third of
-    the squared dilation: shape (2p + 2, 2p + 2). Mass: shape (2p + 2, 2p + 2).
+    the squared dilation: shape (2p + 2, 2p + 2). Mass: shape (2p + 2, 2p + 2). Degree 0 is linear with one point of
+    integration, as in `Foundation`, so that all rows but the first of both kinds are omitted.
     """
-    values, slopes, plain = reference(degree)
+    values, slopes, plain = reference(max(degree, 1))
+    if degree == 0:
+        values, slopes = values[:1], slopes[:1]
+        plain = values.T @ values
     values, slopes = math.sqrt(0.5 * thickness_m) * values, math.sqrt(2.0 / thickness_m) * slopes
     plain = 0.5 * thickness_m * plain
     nothing = np.zeros_like(plain)
@@ -115,11 +119,15 @@ def _laws(material: Material, dilation: Float, turned: Float) -> tuple[Float, Fl
 
 def depth_problem(slab: Slab, k: float, degrees: tuple[int, ...]) -> DepthProblem:
     """Return the matrices of a slab at lateral wavenumber k [rad/m], >= 0; degrees: polynomial degree >= 2 by sheet."""
-    sheets = len(slab.sheets)
+    base, layers = slab.base, slab.sheets
+    if isinstance(base, Foundation):
+        layers, degrees, base = (*layers, *base.sheets), (*degrees, *[base.degree] * len(base.sheets)), base.base
+    own, degrees = degrees, tuple(max(degree, 1) for degree in degrees)
+    sheets = len(layers)
     count = sheets + 1 + sum(p - 1 for p in degrees)
     bottom = np.array([sheets, count + sheets])
     kept = np.ones(2 * count, dtype=bool)
-    kept[bottom] = slab.base not in ("bonded",), slab.base not in ("bonded", "free_slip")
+    kept[bottom] = base not in ("bonded",), base not in ("bonded", "free_slip")
     if k == 0.0:
         kept[:count] = False
     mass = np.zeros((2 * count, 2 * count))
@@ -130,7 +138,7 @@ def depth_problem(slab: Slab, k: float, degrees: tuple[int, ...]) -> DepthProble
         whole[:, places] = rows
         return whole[:, kept]
 
-    for number, (sheet, degree) in enumerate(zip(slab.sheets, degrees, strict=True)):
+    for number, (sheet, degree) in enumerate(zip(layers, own, strict=True)):
         places = _places(number, sheets, degrees)
         places = np.concatenate([places, count + places])
         material = sheet.material
@@ -142,10 +150,10 @@ def depth_problem(slab: Slab, k: float, degrees: tuple[int, ...]) -> DepthProble
             viscous.append(math.sqrt(material.relaxation.viscous_time_s) * delayed)
         if material.relaxation.active:
             relaxing.append(Relaxing(delayed, material.relaxation.active))
-    if isinstance(slab.base, Springs):
-        rates = [slab.base.tangential_Pa_m, slab.base.normal_Pa_m]
+    if isinstance(base, Springs):
+        rates = [base.tangential_Pa_m, base.normal_Pa_m]
         strain.append(spread(np.diag(np.sqrt(rates)), bottom))
-        rates = [slab.base.tangential_Pa_s_m, slab.base.normal_Pa_s_m]
+        rates = [base.tangential_Pa_s_m, base.normal_Pa_s_m]
         viscous.append(spread(np.diag(np.sqrt(rates)), bottom))
     return DepthProblem(
         mass[np.ix_(kept, kept)],
