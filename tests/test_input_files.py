@@ -21,6 +21,7 @@ from palmfield.motion.trajectory import read_trajectory
 from palmfield.outputs.scan_files import read_scan
 from palmfield.session.migrate import migrated
 from palmfield.session.scene_text import read_scene_text
+from palmfield.stimulus.adaptics import read_adaptics
 from palmfield.stimulus.am_file import read_am_table
 from palmfield.stimulus.autd3_stm import read_foci_stm
 from palmfield.stimulus.focus_table_file import read_focus_table
@@ -33,6 +34,7 @@ from palmfield.studies.trial.recording import read_recording
 HAND = articulate(load_preset("open_women_p50"))
 READERS = {
     "am_table.csv": read_am_table, "am_table.npz": read_am_table, "stm.json": read_foci_stm,
+    "pattern.adaptics": read_adaptics,
     "standard.toml": read_stimulus, "foci.csv": read_focus_table, "log.log": lambda path: pieces_of(path, None),
     "calibration.json": read_calibration, "transducers.csv": read_transducers, "scan.csv": read_scan,
     "scan.uff": read_scan, "scan.mat": read_scan, "design.toml": read_design,

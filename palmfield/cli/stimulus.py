@@ -1,4 +1,4 @@
-"""`palmfield stimulus`: import and export tables of foci, and STM files of AUTD3 devices."""
+"""`palmfield stimulus`: import and export tables of foci, STM files of AUTD3 devices, and patterns of Adaptics."""
 
 from pathlib import Path
 from typing import Annotated, cast
@@ -13,8 +13,10 @@ stimulus = group(
     "Import a stimulus into a scene, or export it, as a table of focus positions and intensities over time.\n\nA "
     "table is a CSV file with columns t, x, y, z, intensity (x1, y1, ... for several foci) and a head with frame, "
     "rate, units and the quantity of the intensities (docs/stimuli.md). A .json file is an STM of AUTD3 "
-    "units.\n\nExample: palmfield stimulus export mjcf/scenes/palm_circle.xml circle.csv",
+    "units, an .adaptics file a pattern of the design tool Adaptics.\n\nExample: "
+    "palmfield stimulus export mjcf/scenes/palm_circle.xml circle.csv",
 )
+Kinds = Annotated[Path, typer.Argument(help="table (.csv), STM of AUTD3 units (.json), or .adaptics", metavar="FILE")]
 Which = Annotated[
     str | None,
     typer.Option("--stimulus", help="name of the stimulus instance [default: the only one]", metavar="INSTANCE"),
@@ -27,7 +29,7 @@ SetKeys = Annotated[
 
 @stimulus.command("import")
 def import_command(
-    file: Annotated[Path, typer.Argument(help="table (.csv), or STM of AUTD3 units (.json)", metavar="FILE")],
+    file: Kinds,
     scene: Annotated[
         Path, typer.Option(help="scene that receives the stimulus; its file is not changed", metavar="SCENE")
     ],
@@ -39,8 +41,20 @@ def import_command(
         str | None, typer.Option(help="for a table with frame skin: the site whose frame it uses", metavar="SITE")
     ] = None,
     repeat: Annotated[bool, typer.Option("--repeat", help="repeat the table from its beginning when it ends")] = False,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="samples per second of .adaptics [default: 10 or more in each period of AM and brush, "
+                     "1000 to 40000]", metavar="HZ"),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="duration of .adaptics [s] [default: to its stop or last keyframe]")
+    ] = None,
+    parameters: Annotated[
+        list[str] | None,
+        typer.Option("--set-parameter", help="set a parameter of .adaptics; may be repeated", metavar="NAME=VALUE"),
+    ] = None,
     overwrite: Overwrite = False,
-) -> None:
+) -> None:  # fmt: skip
     """Write a scene that plays the foci of FILE, and next to it the table that the scene reads.
 
     Path, focus, modulation and bursts of the stimulus in the scene are removed, because the table gives positions and
@@ -49,14 +63,21 @@ def import_command(
 
     Example: palmfield stimulus import circle.csv --scene first/first.xml --repeat
     """
+    from palmfield.errors import SceneError
     from palmfield.session.stimulus_import import import_stimulus
+    from palmfield.stimulus.adaptics import Sampling
 
+    try:
+        values = {name: float(value) for name, _, value in (text.rpartition("=") for text in parameters or ())}
+    except ValueError:
+        raise SceneError(f"--set-parameter has value {' '.join(parameters or ())}; allowed: NAME=NUMBER") from None
     done = import_stimulus(
-        file, scene, out, stimulus=which, site=site, repeat=repeat, overwrite=overwrite
+        file, scene, out, stimulus=which, site=site, repeat=repeat, overwrite=overwrite,
+        sampling=Sampling(rate, duration, values) if (rate, duration, parameters) != (None,) * 3 else None,
     )  # fmt: skip
     foci = "one focus" if done.foci == 1 else f"{done.foci} foci at once"
     print(f"{done.scene}: stimulus '{done.stimulus}' plays {done.table.name}: {foci}, {done.rows} rows, "
-          f"{done.length_s:g} s")  # fmt: skip
+          f"{done.length_s:g} s at {done.rate_Hz:g} Hz")  # fmt: skip
     if done.dropped:
         print(f"removed keys: {', '.join(done.dropped)}")
     print(f"next: palmfield plan {done.scene}")
@@ -65,7 +86,7 @@ def import_command(
 @stimulus.command("export")
 def export_command(
     scene: SceneFile,
-    file: Annotated[Path, typer.Argument(help="table (.csv), or STM of AUTD3 units (.json)", metavar="FILE")],
+    file: Kinds,
     which: Which = None,
     rate: Annotated[
         float | None,
@@ -74,7 +95,8 @@ def export_command(
     quantity: Annotated[
         str | None,
         typer.Option(
-            help="quantity of the intensities: duty, amplitude or arp [default: arp, or that of the table in the scene]"
+            help="quantity of the intensities: duty, amplitude or arp [default: arp, or that of the table in the "
+            "scene; for .adaptics amplitude]"
         ),
     ] = None,
     frame: Annotated[str, typer.Option(help="frame of the table: array, or skin (the site of the stimulus)")] = "array",
@@ -98,6 +120,8 @@ def export_command(
     from palmfield.session.stimulus_export import export_stimulus, exported
     from palmfield.stimulus.focus_table import Quantity, TableFrame
 
+    if quantity is None and file.suffix.lower() == ".adaptics":
+        quantity = "amplitude"
     if quantity is not None:
         refuse_unknown(SceneError, "--quantity has value {}", quantity, get_args(Quantity))
     refuse_unknown(SceneError, "--frame has value {}", frame, ("array", "skin"))
@@ -105,11 +129,11 @@ def export_command(
         scene, stimulus=which, rate_Hz=rate, quantity=cast(Quantity | None, quantity), frame=cast(TableFrame, frame),
         duration_s=duration, keys=parsed_keys(keys),
     )  # fmt: skip
-    export_stimulus(result, file, again=repeat, overwrite=overwrite)
+    notes = export_stimulus(result, file, again=repeat, overwrite=overwrite)
     table = result.table
     print(f"{file}: {table.foci} x {len(table.samples)} rows at {table.rate_Hz:g} Hz, {table.length_s:g} s, "
           f"intensities of {table.quantity}, frame {table.frame}, between rows {table.between}")  # fmt: skip
-    for warning in result.warnings:
+    for warning in (*notes, *result.warnings):
         print(f"note: {warning}")
 
 

@@ -1,4 +1,4 @@
-"""Export the stimulus of a scene over time, as a table of foci or as an STM file of AUTD3 devices."""
+"""Export the stimulus of a scene as a table of foci, an STM file of AUTD3 devices, or a pattern of Adaptics."""
 
 import math
 from collections.abc import Mapping
@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from palmfield.config.stimulus import StimulusConfig
 from palmfield.errors import OutputError, SceneError, did_you_mean
 from palmfield.session.open_scene import Source
 from palmfield.session.preview import Preview, preview
 from palmfield.simulation.model import StimulusModel
+from palmfield.stimulus.adaptics_export import write_adaptics
 from palmfield.stimulus.autd3_stm import stm_of_table, write_foci_stm
 from palmfield.stimulus.duty_law import FULL_DUTY, duty_cycle
 from palmfield.stimulus.focal_points import FocalPoints
@@ -21,15 +23,22 @@ from palmfield.transforms import IDENTITY
 from palmfield.types import Float
 
 USUAL_RATE_HZ = 1000.0
+KINDS = {
+    ".csv": ".csv (a table)", ".json": ".json (an STM of AUTD3)", ".adaptics": ".adaptics (a pattern of Adaptics)"
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Exported:
-    """A stimulus as a table. table: its last row ends the sound; warnings: properties that a table cannot represent"""
+    """A stimulus as a table. table: its last row ends the sound; warnings: properties that a table cannot represent
+
+    config: keys of the stimulus
+    """
 
     table: FocusTable
     stimulus: str
     warnings: tuple[str, ...]
+    config: StimulusConfig
 
 
 def exported(
@@ -72,7 +81,7 @@ def exported(
     own = table_of(part.config)
     warnings = _warnings(part, names)
     if own is not None and rate_Hz is None and _plays_as_it_is(part, own, frame, quantity, duration_s):
-        return Exported(own, part.spec.name, warnings)
+        return Exported(own, part.spec.name, warnings, part.config)
     usual = own.rate_Hz if own is not None else max(frame_rates(part.config), default=USUAL_RATE_HZ)
     rate = usual if rate_Hz is None else rate_Hz
     lasts = view.duration_s if duration_s is None else duration_s
@@ -95,25 +104,30 @@ def exported(
     table = focus_table(
         times, places, _intensities(loud, chosen, exponent), rate_Hz=rate, frame=frame, quantity=chosen
     )  # fmt: skip
-    return Exported(table.without_repeats(), part.spec.name, warnings)
+    return Exported(table.without_repeats(), part.spec.name, warnings, part.config)
 
 
-def export_stimulus(result: Exported, path: Path, *, again: bool = False, overwrite: bool = False) -> None:
-    """Write a table (.csv) or an STM file of AUTD3 devices (.json). again: whether the STM repeats without end
+def export_stimulus(
+    result: Exported, path: Path, *, again: bool = False, overwrite: bool = False
+) -> tuple[str, ...]:  # fmt: skip
+    """Write a table (.csv), an STM file (.json) or a pattern of Adaptics (.adaptics), and return notes for users.
 
+    again: whether the STM repeats without end
     Raises OutputError for an unknown suffix or a file that may not be replaced. Raises SceneError for a table that
-    AUTD3 devices cannot play.
+    AUTD3 devices or Adaptics cannot play.
     """
-    if path.suffix.lower() not in (".csv", ".json"):
-        raise OutputError(
-            f"{path}: the kind of the file is '{path.suffix}'; allowed: .csv (a table), .json (an STM of AUTD3)"
-        )
+    kind = path.suffix.lower()
+    if kind not in KINDS:
+        raise OutputError(f"{path}: the kind of the file is '{path.suffix}'; allowed: {', '.join(KINDS.values())}")
     if path.exists() and not overwrite:
         raise OutputError(f"{path} exists and would be replaced; give another file, or --overwrite")
-    if path.suffix.lower() == ".csv":
+    if kind == ".adaptics":
+        return write_adaptics(path, result.table, result.config)
+    if kind == ".csv":
         write_focus_table(path, result.table)
     else:
         write_foci_stm(path, stm_of_table(result.table, again=again))
+    return ()
 
 
 def _plays_as_it_is(

@@ -1,4 +1,4 @@
-"""Import a table of foci, or an STM file of AUTD3 devices: write the table, and a scene that plays it."""
+"""Import a table of foci, an STM file or a pattern of Adaptics: write the table, and a scene that plays it."""
 
 import tempfile
 from dataclasses import dataclass, replace
@@ -14,6 +14,8 @@ from palmfield.files import whole, writing
 from palmfield.session.open_scene import compiled, instances_of, no_scene, opened
 from palmfield.session.scene_edit import Edit, edited, indent_of, tag_of, without
 from palmfield.session.scene_text import Element, elements_of
+from palmfield.session.stimulus_export import KINDS
+from palmfield.stimulus.adaptics import Sampling, read_adaptics
 from palmfield.stimulus.autd3_stm import read_foci_stm, table_of_stm
 from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.focus_table_file import focus_table, read_focus_table, write_focus_table
@@ -39,23 +41,29 @@ class Imported:
     foci: int
     rows: int
     length_s: float
+    rate_Hz: float
 
 
-def read_stimulus(path: Path) -> tuple[FocusTable, bool]:
-    """Read a table from a CSV file, or convert an STM from a JSON file. Return it, and whether it repeats.
+def read_stimulus(path: Path, sampling: Sampling | None = None) -> tuple[FocusTable, bool]:
+    """Read a table (.csv), or convert an STM (.json) or a pattern (.adaptics). Return it, and whether it repeats.
 
-    Raises SceneError for an unknown suffix, and the errors of `read_focus_table`, `read_foci_stm` and `table_of_stm`.
+    sampling: only for a pattern
+    Raises SceneError for an unknown suffix, and the errors of `read_focus_table`, `read_foci_stm`, `table_of_stm` and
+    `read_adaptics`.
     """
-    match path.suffix.lower():
+    kind = path.suffix.lower()
+    if kind == ".adaptics":
+        return read_adaptics(path, sampling), False
+    if sampling is not None and kind in KINDS:
+        raise SceneError(f"{path}: --rate, --duration and --set-parameter apply only to .adaptics; omit them")
+    match kind:
         case ".csv":
             return read_focus_table(path), False
         case ".json":
             stm = read_foci_stm(path)
             with naming(f"{path}"):
                 return table_of_stm(stm), stm.loop == "infinite"
-    raise SceneError(
-        f"{path}: the kind of the file is '{path.suffix}'; allowed: .csv (a table), .json (an STM of AUTD3)"
-    )
+    raise SceneError(f"{path}: the kind of the file is '{path.suffix}'; allowed: {', '.join(KINDS.values())}")
 
 
 def import_stimulus(
@@ -67,6 +75,7 @@ def import_stimulus(
     site: str | None = None,
     repeat: bool = False,
     overwrite: bool = False,
+    sampling: Sampling | None = None,
 ) -> Imported:
     """Write a scene whose stimulus plays a file, and write the table to the same folder.
 
@@ -74,13 +83,13 @@ def import_stimulus(
     stimulus: instance, needed if the scene has several
     site: site whose frame is used by a table with frame `skin`
     repeat: whether the table restarts at its end (an STM without end always does)
-    overwrite: whether existing files may be replaced
+    overwrite: whether existing files may be replaced; sampling: for a pattern of Adaptics
     Raises SceneError for an invalid file or scene, for a moving array with a table in the world frame, and for errors
     of the new scene; OutputError if a file may not be replaced.
     """
     if not scene.is_file():
         raise SceneError(no_scene(scene))
-    table, again = read_stimulus(file)
+    table, again = read_stimulus(file, sampling)
     target = scene.with_name(f"{scene.stem}_{file.stem}.xml") if out is None else out
     if target.resolve().parent != scene.resolve().parent:
         raise OutputError(f"--out has value {target}; allowed: a file in {scene.resolve().parent}, because "
@@ -110,7 +119,8 @@ def import_stimulus(
     write_focus_table(table_file, table)
     with writing(target), whole(target) as part:
         part.write_bytes(data)
-    return Imported(target, table_file, name, keys, dropped, table.foci, len(table.samples), table.length_s)
+    return Imported(target, table_file, name, keys, dropped, table.foci, len(table.samples), table.length_s,
+                    table.rate_Hz)  # fmt: skip
 
 
 def _instance(scene: Path, stimulus: str | None) -> str:

@@ -75,13 +75,20 @@ def default_origin_mm() -> tuple[float, float, float]:
 def read_foci_stm(path: str | Path) -> FociStm:
     """Read the content of a file. Raises SceneError, with the invalid entry, for an invalid file."""
     file = Path(path)
+    content = json_of(file)
     try:
         with naming(f"{file}"):
-            stm = FociStm.model_validate(read_json(file))
+            stm = FociStm.model_validate(content)
             _check(stm)
             return stm
     except ValidationError as error:
         raise SceneError(f"{file}: {fault_of(error)}") from None
+
+
+def json_of(file: Path) -> Any:
+    """Return the content of a JSON file. Raises SceneError, with line and column, if it is none."""
+    try:
+        return read_json(file)
     except json.JSONDecodeError as error:
         raise SceneError(f"{file}: line {error.lineno}, column {error.colno}: {error.msg}; give JSON") from None
     except (OSError, ValueError) as error:
