@@ -302,6 +302,11 @@ class SkinConfig(Config):
         for key in ("receptor_densities_per_cm2", "receptor_depths_m"):
             if len(getattr(self, key)) not in (0, 3):
                 raise ValueError(f"{key} has {len(getattr(self, key))} numbers; give three: SA1, RA1 and PC")
+        if self.receptors == "on" and not (self.receptor_densities_per_cm2 or self.shape in OF_SHAPES["hand"]):
+            raise ValueError(
+                f"receptors has value 'on', but densities of afferents on shape '{self.shape}' are unknown; give "
+                "receptor_densities_per_cm2, three numbers, or set receptors off"
+            )
         if self.receptor_densities_per_cm2 and not any(self.receptor_densities_per_cm2):
             raise ValueError("receptor_densities_per_cm2 is 0 for all classes; give one above 0, or set receptors off")
 

@@ -51,7 +51,9 @@ def endings_of(layer: SceneLayer) -> Endings:
     mesh, config = layer.mesh, layer.config
     corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
     centroids, _, areas_m2 = face_samples(mesh.nodes, mesh.surface_triangles6[:, :3])
-    areas_cm2, densities = 1e4 * areas_m2, _densities(config, centroids)
+    areas_cm2 = 1e4 * areas_m2
+    with layer.named:
+        densities = _densities(config, centroids)
     random = np.random.default_rng(config.receptor_seed)
     found: list[tuple[Any, ...]] = []
     for number, name in enumerate(AFFERENTS):

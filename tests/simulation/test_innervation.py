@@ -110,7 +110,7 @@ def test_densities_of_a_hand_are_those_of_its_regions():
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"receptors": "on"}, "shape 'disc' has no regions with known densities"),
+        ({"receptors": "on"}, "densities of afferents on shape 'disc' are unknown"),
         ({"receptor_seed": "1"}, "receptor_seed applies to receptors 'on', but receptors is 'off'"),
         (ON | {"receptor_densities_per_cm2": "1 2"}, "has 2 numbers; give three: SA1, RA1 and PC"),
         (ON | {"receptor_densities_per_cm2": "0 0 0"}, "is 0 for all classes"),
