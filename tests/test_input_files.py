@@ -28,7 +28,7 @@ from palmfield.stimulus.focus_table_file import read_focus_table
 from palmfield.stimulus.standard import read_stimulus
 from palmfield.studies.experiment.design import read_design
 from palmfield.studies.experiment.log import read_experiment_log
-from palmfield.studies.sweeps.texts import _read_table
+from palmfield.studies.sweeps.keys import _read_table
 from palmfield.studies.trial.recording import read_recording
 
 HAND = articulate(load_preset("open_women_p50"))

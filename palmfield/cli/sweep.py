@@ -79,7 +79,7 @@ def sweep(
     palmfield sweep mjcf/scenes/palm_am200.xml --sobol 64 --set "stimulus.focus_m[0]=-0.02:0.02" --set
     "stimulus.focus_m[1]=-0.02:0.02" --scheduler tcp://192.168.1.10:8786
     """
-    from palmfield.studies.sweeps.texts import read_design
+    from palmfield.studies.sweeps.keys import read_design
     from palmfield.studies.sweeps.whole_sweep import sweep as whole_sweep
 
     check_duration(duration)

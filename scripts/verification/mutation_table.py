@@ -447,7 +447,7 @@ MUTATIONS = (
     Mutation(
         "nodes' weights of the next order",
         "spectral elements",
-        "palmfield/skin/solvers/spectral_elements/quads.py",
+        "palmfield/skin/solvers/spectral_elements/solid.py",
         "weights = 2.0 / (order * (order + 1) * top**2)",
         "weights = 2.0 / ((order + 1) * (order + 2) * top**2)",
         "tests/skin/spectral_elements/test_elements.py::test_rule_integrates_and_differentiates_its_polynomials",

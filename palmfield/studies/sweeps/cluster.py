@@ -52,7 +52,7 @@ def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
         "cls": Scheduler,
         "options": {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
     }
-    # Dask must not retry a batch of a lost worker: `palmfield.studies.sweeps.dispatch` retries its points one by one
+    # Dask must not retry a batch of a lost worker: `palmfield.studies.sweeps.whole_sweep` retries its points one by one
     scheduler["options"]["allowed_failures"] = 0
     try:
         cluster = SpecCluster(workers=specs, scheduler=scheduler, silence_logs=logging.CRITICAL)

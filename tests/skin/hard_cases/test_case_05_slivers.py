@@ -13,8 +13,7 @@ from palmfield.skin.problem import Layer, Slab, Spot
 from palmfield.skin.solvers.particles.cloud import build_cloud
 from palmfield.skin.solvers.particles.run import Particles
 from palmfield.skin.solvers.spectral_elements.model import Model
-from palmfield.skin.solvers.spectral_elements.quads import patch_quads
-from palmfield.skin.solvers.spectral_elements.solid import extrude
+from palmfield.skin.solvers.spectral_elements.solid import extrude, patch_quads
 from palmfield.skin.solvers.wedges import static_wedges
 
 GEL = Material("gel", 1030.0, 12.5e3, (Branch(25e3, 2e-4),), bulk_from_poisson(0.45, 12.5e3), "", bulk_relaxes=True)

@@ -14,8 +14,15 @@ from palmfield.skin.materials.material import Branch, Material, Sheet, bulk_from
 from palmfield.skin.problem import GAUSSIAN
 from palmfield.skin.solvers.spectral_elements.model import Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
-from palmfield.skin.solvers.spectral_elements.quads import box_quads, disc_quads, lagrange, patch_quads, rule
-from palmfield.skin.solvers.spectral_elements.solid import extrude, face_areas
+from palmfield.skin.solvers.spectral_elements.solid import (
+    box_quads,
+    disc_quads,
+    extrude,
+    face_areas,
+    lagrange,
+    patch_quads,
+    rule,
+)
 from palmfield.types import Patch
 
 pytestmark = pytest.mark.numerics

@@ -10,9 +10,8 @@ from palmfield.skin.materials.material import Branch, Material, Sheet
 from palmfield.skin.problem import GAUSSIAN, Spot, Traction
 from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
 from palmfield.skin.solvers.spectral_elements.places import Table, find, table_of
-from palmfield.skin.solvers.spectral_elements.quads import box_quads
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper
-from palmfield.skin.solvers.spectral_elements.solid import extrude, face_areas
+from palmfield.skin.solvers.spectral_elements.solid import box_quads, extrude, face_areas
 
 SOFT = Material("soft", 1030.0, 10e3, (Branch(20e3, 1.7e-4), Branch(5e3, 1e-7)), 1e6, "test")
 VOIGT = Material("voigt", 1100.0, 25e3, (Branch(8e3, 2e-3), Branch(3e3, 0.0)), 2e6, "test", viscosity_Pa_s=0.3)

@@ -8,7 +8,7 @@ from scipy.stats import kstest, qmc
 
 from palmfield.errors import SceneError
 from palmfield.studies.sweeps.design import Range, grid, listed, random, sobol
-from palmfield.studies.sweeps.texts import read_design
+from palmfield.studies.sweeps.keys import read_design
 
 
 def points(design):

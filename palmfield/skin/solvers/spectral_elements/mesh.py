@@ -9,8 +9,7 @@ from palmfield.hand.triangles import face_normals
 from palmfield.skin.approximation.load_scales import course_frequency, motion_width
 from palmfield.skin.materials.material import Material, shear_wave
 from palmfield.skin.problem import Body, Layer, Load, Spot
-from palmfield.skin.solvers.spectral_elements.quads import box_quads, disc_quads, patch_quads
-from palmfield.skin.solvers.spectral_elements.solid import Solid, extrude
+from palmfield.skin.solvers.spectral_elements.solid import Solid, box_quads, disc_quads, extrude, patch_quads
 from palmfield.types import Float
 
 SIZE = 0.87

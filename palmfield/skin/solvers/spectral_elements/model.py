@@ -11,8 +11,15 @@ from palmfield.device import run_kernel
 from palmfield.errors import SceneError
 from palmfield.skin.base import BaseKind, SideKind, Springs
 from palmfield.skin.materials.material import Material, Sheet
-from palmfield.skin.solvers.spectral_elements.quads import Rule, rim_edges, rule
-from palmfield.skin.solvers.spectral_elements.solid import Solid, base_areas, cell_areas, inside_out
+from palmfield.skin.solvers.spectral_elements.solid import (
+    Rule,
+    Solid,
+    base_areas,
+    cell_areas,
+    inside_out,
+    rim_edges,
+    rule,
+)
 from palmfield.types import Float, Int
 from warp_kernels import hexa, hexa_steps
 from warp_kernels.hexa import READERS

@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 from palmfield.errors import SceneError
 from palmfield.skin.fem.traction import face_pressure
 from palmfield.skin.problem import GAUSSIAN, Load, Spot, in_space
-from palmfield.skin.solvers.spectral_elements.quads import lagrange, rule
-from palmfield.skin.solvers.spectral_elements.solid import Solid
+from palmfield.skin.solvers.spectral_elements.solid import Solid, lagrange, rule
 from palmfield.types import Float, Int
 
 CANDIDATES = 12
