@@ -337,6 +337,8 @@ def _parameters(part: _Part, given: Mapping[str, float], text: str) -> dict[str,
         # The engine limits defaults to the range, too
         known[name], ranges[name] = min(max(own["default"].number(), low), high), (low, high)
     for name, value in given.items():
+        if not ranges:
+            raise SceneError(f"--set-parameter names '{name}', but the pattern has no parameters; omit it")
         refuse_unknown(SceneError, "--set-parameter names {}", name, ranges)
         low, high = ranges[name]
         if not (low <= value <= high and math.isfinite(value)):

@@ -68,11 +68,8 @@ def write_adaptics(file: Path, table: FocusTable, config: StimulusConfig) -> tup
     shape = {"name": name, "params": _numbers(am_freq=am_Hz, **brush)}
     frames[0]["brush"] = {"brush": shape, "transition": course}
     frames.append({"type": "stop", "time": 1e3 * table.length_s})
-    moves = {
-        **_numbers(rotation=0.0),
-        "translate": _numbers(x=0.0, y=0.0, z=lowest),
-        "scale": _numbers(x=1.0, y=1.0, z=1.0),
-    }
+    shift, scale = _numbers(x=0.0, y=0.0, z=lowest), _numbers(x=1.0, y=1.0, z=1.0)
+    moves = {"translate": shift, **_numbers(rotation=0.0), "scale": scale}
     whole = {"geometric_transforms": moves, **_numbers(intensity_factor=1.0, playback_speed=1.0)}
     content = {"$DATA_FORMAT": FORMAT, "$REVISION": REVISIONS[0], "name": file.stem, "keyframes": frames,
                "pattern_transform": whole, "user_parameter_definitions": {}}  # fmt: skip

@@ -386,6 +386,8 @@ def test_parameters_need_no_definition():
         SceneError, match=r'params.value.value: "press"; allowed: no parameter; or give --set-parameter'
     ):
         table_of_pattern(content, Sampling())
+    with pytest.raises(SceneError, match="--set-parameter names 'a', but the pattern has no parameters; omit it"):
+        table_of_pattern(pattern([STILL, END]), Sampling(parameters={"a": 1.0}))
     assert table_of_pattern(content, Sampling(parameters={"press": 0.5})).intensities[0, 0] == 0.5
 
 
