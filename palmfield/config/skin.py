@@ -44,6 +44,7 @@ OF_SHAPES = {
     "thickness_m": ("disc",),
     "patch_site": BODIES,
     "patch_radius_m": BODIES,
+    "cover": BODIES[:4],
     "depth_m": BODIES,
     "force_accuracy": BODIES,
 }
@@ -96,6 +97,10 @@ class SkinConfig(Config):
     )
     patch_radius_m: Length | None = Field(
         None, description="radius of the skin layer (default: chosen by the plan; all shapes except disc)"
+    )
+    cover: Literal["patch", "palmar", "whole"] = Field(
+        "patch",
+        description="extent of the layer: around patch_site; palm and palmar side of the fingers; all skin of a hand",
     )
     depth_m: Length = Field(
         0.02,

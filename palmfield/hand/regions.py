@@ -2,7 +2,9 @@
 
 from functools import lru_cache
 
+import numpy as np
 import scipy  # loads its parts at first use
+from numpy.typing import NDArray
 
 from palmfield import cache
 from palmfield.hand.articulated import articulate
@@ -33,6 +35,11 @@ def part_of(region: str) -> str | None:
     if region.endswith("_pulp"):
         return "fingertip"
     return "finger" if region.endswith("_palmar") else None
+
+
+def glabrous(hand: str) -> NDArray[np.bool_]:
+    """Return whether each vertex of `hand_surface` of a preset is on a part of the glabrous skin, shape (n,)."""
+    return np.array([part_of(name) is not None for name in REGIONS])[_labelled(hand)[1]]
 
 
 @lru_cache(maxsize=8)

@@ -17,7 +17,8 @@ from palmfield.hand.layer import (
 )
 from palmfield.hand.layer_volume import layer_volume, thickness_integral
 from palmfield.hand.meshquery import exit_distances
-from palmfield.hand.triangles import face_normals, largest_part, on_rim, unique_edges, vertex_areas
+from palmfield.hand.split_edges import split_long_edges
+from palmfield.hand.triangles import face_normals, largest_part, on_rim, unique_edges, vertex_areas, vertex_normals
 from palmfield.types import Float, Int, Patch, Surface
 
 THINNED = 0.999
@@ -97,6 +98,16 @@ def hand_layer(
     report |= _sheet_report(patch, shares)
     report |= {"vertices_moved": float((moved > 0.0).sum()), "moved_most_m": float(moved.max())}
     return replace(patch, report=report)
+
+
+def whole_layer(surface: Surface, depth: ArrayLike | float, most_m: float, longest_m: float) -> Patch:
+    """Return `hand_layer` of a whole surface whose edges longer than `longest_m` are halved [m].
+
+    depth: at its vertices [m], shape (n,), or one number; most_m: largest depth [m]
+    """
+    carry, faces = split_long_edges(surface.vertices, surface.faces, longest_m)
+    vertices, depths = carry @ surface.vertices, carry @ depth_by_vertex(depth, len(surface.vertices))
+    return hand_layer(Surface(vertices, faces, vertex_normals(vertices, faces)), np.minimum(depths, most_m))
 
 
 def facing_faces(surface: Surface, direction: ArrayLike = PALMAR, least_cosine: float = 0.3) -> Int:

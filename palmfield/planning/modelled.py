@@ -131,6 +131,9 @@ def _layer(skin: SkinModel) -> list[Row]:
     whole = "the region in which waves matter at this accuracy"
     if skin.carrier.surface is None:
         whole = "the whole disc"
+    elif layer.cover is not None:
+        side = "all skin" if config.cover == "whole" else "the palmar side"
+        whole = f"{side} of the hand, {1e4 * layer.patch.report['area_m2']:.0f} cm2"
     elif skin.spec.config.patch_radius_m is not None:
         whole = "the region set by key patch_radius_m"
     own = []

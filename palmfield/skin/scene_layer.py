@@ -5,6 +5,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -26,6 +27,9 @@ from palmfield.skin.from_config import base_of, sheets_of, slowest
 from palmfield.skin.materials.material import Sheet
 from palmfield.skin.mesh.wedges import WedgeMesh, element_rows, extrude
 from palmfield.types import Float, Patch, Surface
+
+if TYPE_CHECKING:  # not imported at run time, because most layers are patches
+    from palmfield.skin.covers import Covering
 
 UNEVEN = 3.0
 """Factor by which a layer on a body is meshed more accurately than the target: the rules are calibrated on a disc of
@@ -183,7 +187,18 @@ class SceneLayer:
                 self.config, sheets_of(self.config), demand.spot_fwhm_m, demand.max_frequency_Hz, demand.path_reach_m,
                 demand.timestep_s, self.resizing, self.rows,
             )  # fmt: skip
+        sizes = sizes if self.cover is None else replace(sizes, **self.cover.sizes(sizes, self.resizing))
         return replace(sizes, step_s=min(sizes.step_s, demand.longest_step_s))
+
+    @locked_cached_property
+    def cover(self) -> "Covering | None":
+        """Extent of a layer that covers a hand; None for a patch. Raises SceneError if the palm is unknown."""
+        if self.config.cover == "patch":
+            return None
+        from palmfield.skin.covers import covering  # few scenes have one
+
+        with self.meshing():
+            return covering(self.config, self.surface, self.depth_m, self.centre_m)
 
     @property
     def step_s(self) -> float:
@@ -203,6 +218,9 @@ class SceneLayer:
             x, y, _ = offset
             edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
             return disc_patch(config.radius_m, config.thickness_m, *edges, (x, y))
+        if self.cover is not None:
+            with self.meshing():
+                return self.cover.patch(config, sizes, self.centre_m, self.centre_m + offset, self.resizing)
         assert self.surface is not None
         # The mesh of a left hand is the mirror image of the mesh of the right hand, like its surface
         left = config.shape in OF_SHAPES["hand"] and load_preset(config.hand).side == "left"
@@ -245,7 +263,7 @@ class SceneLayer:
     @contextmanager
     def meshing(self) -> Iterator[None]:
         """Add the name of the skin and the settings of its mesh to errors raised in the block."""
-        with self.named, naming(mends=OF_MESH):
+        with self.named, naming(mends=OF_MESH if self.config.cover == "patch" else OF_MESH[::2]):
             yield
 
     @property
@@ -295,6 +313,7 @@ class SceneLayer:
         # An equilateral triangle of edge a has the area 0.43 a^2; quadratic wedges have 2 nodes per triangle and level.
         fine = inner / sizes.edge_fine_m
         triangles = math.pi / 0.43 * (fine * fine + (sizes.radius_m**2 - inner**2) / middle / middle)
+        triangles = triangles if self.cover is None else self.cover.triangles(sizes)
         below = self._levels_below + 1 if self._levels_below else 0
         return 3.0 * 2.0 * triangles * (2.0 * (len(sizes.depth_fractions) - 1) + below)
 

@@ -23,6 +23,7 @@ pytestmark = pytest.mark.usefixtures("kept_operators")
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 BOARD_OF = {
     "approach_withdraw": "autd2018",
+    "cover_palm": "autd2018",
     "follow_fingertip": "autd2018",
     "grasp_object": "autd3",
     "hover_explore": "autd2018",
