@@ -111,8 +111,8 @@ def digest() -> str:
 def ceilings(rate: float) -> str:
     """Describe the upper limits of the GPU in words. rate: as returned by `issue_rate`."""
     sines = (
-        f"{SINES} of these instructions are roots, sines and cosines. These alone limit the speed to "
-        f"{rate / 8 / SINES / 1e12:.2f} T "
+        f"A pair also takes {SINES} roots, sines and cosines, at an eighth of the rate of multiply-adds. These alone "
+        f"limit the speed to {rate / 8 / SINES / 1e12:.2f} T "
     )
     if not counted():
         return sines + "pairs/s. The other instructions of these kernels were not counted, so there is no ceiling."

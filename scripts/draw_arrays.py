@@ -214,10 +214,10 @@ def in_phase(name: str) -> float:
 def bow_notes(spots: dict[str, Spot]) -> list[str]:
     names = [name for name in spots if name.startswith("two_bow")]
     lines = [
-        "The two bows are from Mizushima & Sato 2024. In the paper the speakers are 40, 28 and 10 deg from the line "
-        "to the "
-        "focus. Its half-widths are 3 mm in y, 8 (or 10) mm in x and 10 (or 8) mm in z. The last column is |p| at "
-        "the focus if all speakers have the same phase, divided by |p| if they are focused.",
+        "The layouts `two_bow_...` are from Mizushima & Sato 2024. At the focus, the paper prints angles of 40, 28 and "
+        "10 deg between the speakers and the axis of a bow. The printed half-widths of the focus are 3 mm in y, 10 mm "
+        "in x and 8 mm in z; the conclusion of the paper exchanges x and z. The last column is |p| at the focus if all "
+        "speakers have the same phase, divided by |p| if they are focused.",
         "",
         "| layout | angles [deg] | half-width y, x, z [mm] | same phase / focused |",
         "|---|---|---|---|",
@@ -257,7 +257,8 @@ def page(spots: dict[str, Spot]) -> str:
     lines += ["", *NOTES]
     lines += [*bow_notes(spots), ""]
     lines += [
-        "The directivity of the T4010A1 is a polynomial that differs from its table by at most "
+        "The measured directivity of the T4010A1 is a table. palmfield uses a polynomial, which differs from this "
+        "table by at most "
         f"{table_misfit(T4010A1_DIRECTIVITY):.4f} of the value on the axis.",
         "",
     ]

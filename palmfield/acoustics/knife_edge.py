@@ -51,10 +51,10 @@ WIDEST = 2.8
 
 
 class ShadowNodes(NamedTuple):
-    """Nodes among n points, sorted by group.
+    """Nodes: the m of n points at which shadows are computed, sorted by group; the nodes of a group share a viewpoint.
 
-    numbers: point numbers of the nodes, shape (m,). groups: group of each node, shape (m,). starts: first node of each
-    group, and one past the last. neighbours, shares: nodes and interpolation weights of each point, (NEIGHBOURS, n).
+    numbers: point number of each node, shape (m,). groups: its group, shape (m,). starts: first node of each group, and
+    m. neighbours, shares: nodes near each of the n points, and their interpolation weights, shape (NEIGHBOURS, n).
     """
 
     numbers: Int

@@ -137,7 +137,7 @@ def ultraino() -> Array:
 
 
 def autd_board() -> Array:
-    """Return an AUTD unit. The origin is the centre of the 18 x 14 sites, not the centroid of the 249 transducers."""
+    """Return an AUTD unit. The origin is the centre of the grid of 18 x 14, not the centroid of the 249 transducers."""
     sites = lattice(AUTD_COLUMNS, AUTD_ROWS, AUTD_PITCH_M)
     missing = [AUTD_COLUMNS * row + column for column, row in AUTD_MISSING]
     positions = np.delete(sites, missing, axis=0)
@@ -225,9 +225,10 @@ def bow_focus(array: Array) -> Point:
 
 
 AUTD_UNIT = (
-    "AUTD3 software (shinolab, MIT): 18 x 14 sites, pitch 10.16 mm (10.18 in its first releases), board 192 x "
-    "151.4 mm; sites (1,1), (2,1) and (16,1) have been empty since 2016. Directivity: table of the T4010A1"
+    "AUTD3 software (shinolab, MIT): grid of 18 x 14 places, pitch 10.16 mm (10.18 in its first releases), board "
+    "192 x 151.4 mm; places (1,1), (2,1) and (16,1) have been empty since 2016. Directivity: table of the T4010A1"
 )
+PISTON = "Directivity: a piston of the size of the MA40S4S"
 BOW_SETUP = (
     "Mizushima & Sato 2024: 6 speakers per bow, 10 mm apart on a parabola, bows tilted by 30 deg. Assumption: every "
     "axis points to the common focus, as their sum of on-axis pressures implies. "
@@ -238,15 +239,15 @@ UHEV1_P0 = Estimate(
     0.7,
     2.6,
     "inferred",
-    "reproduces the 12 Pa in the finite-element model of Chilles et al. 2019; their table lists it among material "
-    "parameters, and their measured motion implies a lower value",
+    "reproduces the 12 Pa in the finite-element model of Chilles et al. 2019; their table lists this pressure among "
+    "material parameters, and their measured motion implies a lower p0",
 )
 AUTD_P0 = Estimate(
     2.8,
     2.53,
     4.386,
     "inferred",
-    "with the directivity of the T4010A1 it reproduces the 20 mN on 12 x 12 mm measured by Hasegawa & Shinoda "
+    "with the directivity of the T4010A1, this p0 reproduces the 20 mN on 12 x 12 mm measured by Hasegawa & Shinoda "
     "2018; the AUTD3 software uses 4.386, other projects 2.53",
 )
 STRATOS_P0 = Estimate(
@@ -260,7 +261,7 @@ STRATOS_P0 = Estimate(
 LAYOUTS = {
     "uhev1": Layout(
         "Ultrahaptics UHEV1: 16 x 16 elements, 10.3 mm pitch",
-        "Chilles et al. 2019 do not print the pitch; 10.3 to 10.5 mm is the usual figure. Pistons: MA40S4S",
+        f"Chilles et al. 2019 do not print the pitch; 10.3 to 10.5 mm is the usual figure. {PISTON}",
         (0.0, 0.0, 0.2),
         uhev1,
         UHEV1_P0,
@@ -275,18 +276,17 @@ LAYOUTS = {
     ),
     "sonicsurface": Layout(
         "SonicSurface: 16 x 16 elements, 10.5 mm pitch, in the order of the board's data bytes",
-        "SonicSurface (upnalab, MIT): positions and byte order. Pistons: as MA40S4S",
+        f"SonicSurface (upnalab, MIT): positions and byte order. {PISTON}",
         (0.0, 0.0, 0.2),
         sonicsurface,
     ),
     "openmpd": Layout(
         "OpenMPD (AcoustophoreticBoard): 16 x 16 elements, 10.5 mm pitch, ordered by columns, with the vendor's "
         "pin map; version 2 (version 1 is openmpd_rows)",
-        "OpenMPD (University College London): positions, normals (0, 0, 1) and pins as its driver reads them from "
-        "board files (board_N.pat of RMResearch/OpenMPD, AsierInhoImpl_V2.cpp of sbg97/OpenMPD_Driver); the map "
-        "is the same in all 75 files and in the FPGA's PinMapping.vhd. The driver places boards by rotations in "
-        "right-handed frames: seen from the front, x points right and y up. Not tested on hardware. Pistons: as "
-        "MA40S4S",
+        "OpenMPD (University College London): positions, normals (0, 0, 1) and pins are those that the vendor's driver "
+        "(AsierInhoImpl_V2.cpp of sbg97/OpenMPD_Driver) reads from board files (board_N.pat of RMResearch/OpenMPD). "
+        "All 75 files and the FPGA's PinMapping.vhd have the same pin map. The driver rotates boards and does not "
+        f"mirror them, so seen from the front, x points right and y up. Not tested on hardware. {PISTON}",
         (0.0, 0.0, 0.12),
         openmpd,
         earlier=("openmpd_rows",),
@@ -300,7 +300,7 @@ LAYOUTS = {
     "ultraino": Layout(
         "One Arduino Mega of Ultraino: 8 x 8 elements, 10.5 mm pitch, in the order of its signals",
         "Ultraino (Marzo et al. 2018) drives 64 transducers per Mega. Users build their own arrays, so grid and "
-        "pitch are assumptions. Pistons: as MA40S4S",
+        f"pitch are assumptions. {PISTON}",
         (0.0, 0.0, 0.08),
         ultraino,
     ),
@@ -313,9 +313,9 @@ LAYOUTS = {
     ),
     "autd2018_2x2": Layout(
         "Four units of Hasegawa & Shinoda 2018, arranged to span the printed 364 x 302.8 mm",
-        "Hasegawa & Shinoda 2018. 302.8 mm are two boards; 364 mm are two boards minus a margin of 10 mm on each "
-        "side, so we assume that the right column is rotated by 180 deg. The pitch leaves margins of 9.3 mm, "
-        "which gives 365.4 mm",
+        "Hasegawa & Shinoda 2018. The printed height, 302.8 mm, is that of two boards. The printed width, 364 mm, is "
+        "10 mm less on each side. One board has such a margin only on its left, so we assume that the right column is "
+        "rotated by 180 deg. With the pitch of 10.16 mm a margin is 9.3 mm and the width 365.4 mm",
         (0.0, 0.0, 0.4),
         autd2018_2x2,
         AUTD_P0,

@@ -69,7 +69,7 @@ class ArrayConfig(Config):
     )
     array_face: Literal["absorbing", "rigid"] = Field(
         "absorbing",
-        description="sound returned by a flat disc: absorbed by the array, or reflected until it has decayed",
+        description="face of the array: absorbs the echo of a flat disc, or reflects echoes until they have decayed",
     )
     precision: Literal["fast", "accurate"] = Field(
         "fast",

@@ -92,8 +92,8 @@ class StimulusConfig(Config):
     )
     path_on: Literal["plane", "skin"] = Field(
         "plane",
-        description="surface of the path; skin: drawn on the skin around the point nearest to focus_m in the reference "
-        "pose, with the x direction of frame",
+        description="surface that contains the path; skin: the path is around the skin point nearest to focus_m in the "
+        "reference pose, and its x direction is that of the key frame",
     )
     on_skin: str | None = Field(
         None, description="instance of palmfield.skin for path_on and path_sites (default: the only one)"
@@ -106,8 +106,8 @@ class StimulusConfig(Config):
     path_height_m: Extent | None = Field(None, description="extent along y: height of zigzag, z, lissajous and letters")
     path_step_m: Extent | None = Field(
         None,
-        description="lm: distance between the points at which the focus rests; path_width_m gives two points; without "
-        "this key the focus moves continuously",
+        description="lm: distance between the points at which the focus stops; path_width_m: it stops at the two ends; "
+        "without this key the focus moves continuously",
     )
     path_zigzag_width_m: Extent | None = Field(
         None, description="line, polyline, sites: width of a zigzag of the focus about the path"
@@ -151,7 +151,7 @@ class StimulusConfig(Config):
     )
     am_waveform: Literal["sine", "rectangle", "hann", "burst", "file"] = Field(
         "sine",
-        description="waveform w in -1..1 of the quantity, 1 + m w: sine; rectangle; Hann pulses from -1 to 1; "
+        description="waveform w, from -1 to 1; the quantity is proportional to 1 + m w: sine; rectangle; Hann pulses; "
         "bursts of a sine under a Hann window; or from a file",
     )
     am_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
@@ -160,8 +160,8 @@ class StimulusConfig(Config):
     am_depth: Fraction | None = Field(None, description="modulation depth m: the quantity is proportional to 1 + m w")
     am_normalisation: Literal["peak", "carrier", "mean"] = Field(
         "peak",
-        description="the sound that has drive_amplitude: the loudest moment (peak), the carrier, where w is 0, or a "
-        "steady sound with the same mean ARP (mean)",
+        description="drive_amplitude is the amplitude at the loudest moment (peak), at w = 0 (carrier), or of a steady "
+        "sound with the same mean ARP (mean)",
     )
     am_waveform_duty: Annotated[float, Field(gt=0, le=1)] | None = Field(
         None,

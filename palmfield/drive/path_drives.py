@@ -1,7 +1,7 @@
-"""Emission of the transducers of one stimulus with a moving focus, on a device, as launches for a captured graph.
+"""Emission of the transducers on a device, for one stimulus with a moving focus.
 
-`palmfield.drive.transducer_response` computes drives with NumPy. Here the input is a few numbers for each moment, and
-kernels write the drives to the input of the sound field.
+The computation is a list of kernel launches for a CUDA graph. Its input is a few numbers for each moment; its output,
+the drives, is the input of the sound field. `palmfield.drive.transducer_response` computes the same with NumPy.
 """
 
 from typing import Any, NamedTuple
@@ -107,7 +107,7 @@ class PathDrives:
         self._facing.put(drive.normals.T)
 
     def calls(self, memory: PathMemory) -> Calls:
-        """Return the launches that fill the tables of drives."""
+        """Return kernel launches that compute the emission: tables load, force and now of `memory`, end, and totals."""
         (worlds, foci), device = memory.foci.shape, self._device
         whole, parts = (worlds, foci, self.count), (worlds, foci, kernels.LANES)
         waves, strengths = (wp.zeros(whole, dtype=wp.vec2d, device=device) for _ in range(2))

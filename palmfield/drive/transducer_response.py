@@ -70,11 +70,11 @@ class PoleStepper:
 
 @dataclass(frozen=True)
 class TransducerResponse:
-    """Whether ring-up and flight time are modelled, and the errors of ignoring them.
+    """Whether ring-up and flight time are modelled (on), and the errors of the pressure if they are ignored.
 
-    ring_up, flight_time: errors of the pressure without ring-up, and with equal flight times of all transducers
-    spread_s: time between the first and the last arrival of sound [s]; pole: pole of all N transducers
-    delays_s: delay of each transducer minus the middle delay [s] in the reference pose, shape (N,), zeros if ignored
+    ring_up, flight_time: error without ring-up, and error with equal flight times of all transducers
+    spread_s: longest minus shortest flight time [s]; pole: poles of the N transducers
+    delays_s: flight times minus the mean of shortest and longest [s], in the reference pose, shape (N,); 0 if ignored
     """
 
     on: bool
@@ -136,7 +136,7 @@ def transducer_response(
 
 
 def flight_delays(drive: ArrayDrive, focus: Float) -> Float:
-    """Return flight times to a focus minus the middle flight time, in whole DELAY_STEP_S [s], shape (N,).
+    """Return flight times to a focus minus the mean of shortest and longest, in whole DELAY_STEP_S [s], shape (N,).
 
     Of several foci, shape (m, 3), the first is used. The value is 0 for transducers that are not chosen.
     """

@@ -134,7 +134,7 @@ class Predictor:
         return positions, product(of_turns(self._turn.speed * ahead_turn[:, None]), self._orientation)
 
     def at(self, time_s: float) -> tuple[Float, Float, Float, Int, Float]:
-        """Return positions, quaternions (w first), radii, flags and ages [s] of the joints at a time [s]."""
+        """Return positions [m], quaternions (w first), radii [m], flags, and time since the last packet [s]."""
         positions, turned = self.frames(time_s)
         age = time_s - self._placed_s
         located, oriented = np.isfinite(self._placed_s), np.isfinite(self._turned_s)

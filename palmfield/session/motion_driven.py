@@ -13,15 +13,15 @@ from palmfield.types import Float, Float32
 
 
 class MotionDriven:
-    """The part of the motion of a skin that its bones drive. It starts from rest at the first time.
+    """Compute the part of the motion of a skin that the acceleration of its bones causes, from rest at the first time.
 
-    This part does not depend on the sound, because the layer is linear and its motion acts on no body.
+    The layer is linear and its motion acts on no body, so this part is computed without the sound.
 
-    Times are multiples of the MuJoCo step; accelerations are linear within a step. Raises SceneError as
+    Times are multiples of the MuJoCo step; accelerations are linear within a step. Raises SceneError in the cases of
     `bone_accelerations`.
 
-    model: reduced model of the layer, made when a bone first accelerates; None before
-    hardest: accelerations with the largest displacement so far, as `FrameRates.numbers` of the bones of the layer
+    model: reduced model for these accelerations; None until a bone accelerates
+    hardest: accelerations at the largest displacement so far, in the form of `FrameRates.numbers`, for its bones
     """
 
     def __init__(self, world: World, number: int) -> None:

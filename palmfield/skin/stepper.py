@@ -62,12 +62,12 @@ class Outside(NamedTuple):
 
 
 class StepMemory(NamedTuple):
-    """Inputs and outputs on a device of a step of a skin in w worlds.
+    """Arrays on a device: input and output of a step of a skin in w worlds, with up to m pressure patterns.
 
-    counts: numbers of drives and patterns, int32, shape (w, 2).
-    pressure: patterns [Pa], float32, shape (w m, q), at the points of the stepper if `chosen`, else at all points.
-    weights: weights of each pattern, float64, shape (w, `DeviceModel.weight_rows`, m).
-    before, after: the state, float64, shape (w, n). squares: float64, shape (w, SECTIONS, s, `kernels.LANES`).
+    counts: used numbers of drives and of pressure patterns, int32, shape (w, 2).
+    pressure: patterns [Pa], float32, shape (w m, q); q: points of the stepper if `chosen`, else all points.
+    weights: of the patterns, float64, (w, `DeviceModel.weight_rows`, m). before, after: states, float64, (w, n).
+    squares: parts of the sums of `Outside` in each of s substeps, float64, shape (w, SECTIONS, s, `kernels.LANES`).
     """
 
     counts: Any

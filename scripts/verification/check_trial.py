@@ -35,12 +35,13 @@ SONIC = {"board": "sonicsurface", "keys": STILL}
 AUTD = {"board": "autd2018", "keys": {}}
 GOAL_MS = 29.0
 ABOUT = """Scene `follow_fingertip`: a fingertip draws half a circle of 60 mm in half a second. The tracker gives 90
-samples a second. Each sample arrives 10 ms late, unless the row states another delay. Age, lateral error and error in
-depth of the focus have three values: mean, 95th percentile and largest. "Pressure kept" has the mean, with the
-smallest value in brackets ([trials](../trials.md)). SonicSurface has no modulation, and AUTD has AM of 200 Hz. Rows
-without "real time" use the twin of the board. The "imaginary board" is a [simulated
-board](../calibration.md#how-far-it-can-be-trusted) that is also displaced by 2.5 mm. [trials.csv](data/trials.csv) has
-all rows, and the pressure kept by board and by calibration."""
+samples a second. Each sample arrives 10 ms late, unless the row states another delay. The age is that of the sample
+from which the present sound was computed. The table gives age, lateral error and error in depth of the focus as mean,
+95th percentile and largest value. For the pressure kept it gives the mean, and in brackets the smallest value
+([trials](../trials.md)). SonicSurface has no modulation, and AUTD has AM of 200 Hz. Rows without "real time" use the
+twin of the board. The "imaginary board" is a [simulated board](../calibration.md#how-far-it-can-be-trusted) that is
+also displaced by 2.5 mm. [trials.csv](data/trials.csv) has all rows, and the factors of the pressure kept that are due
+to board and calibration."""
 HEAD = (
     "| board | how | age [ms] | lateral error [mm] | error in depth [mm] | pressure kept: latency alone | board | "
     "calibration | pressure kept: in all | dropped frames |\n|---|---|---|---|---|---|---|---|---|---|"
@@ -78,7 +79,7 @@ def share(values: Share | None) -> str:
 
 def row(how: str, result: Trial) -> str:
     n = result.numbers
-    where = f"none in {100 * n.without_focus:.0f} % of the time" if n.without_focus > 0.5 else spread(n.lateral_mm)
+    where = f"no focus in {100 * n.without_focus:.0f} % of the time" if n.without_focus > 0.5 else spread(n.lateral_mm)
     depth = "" if n.without_focus > 0.5 else spread(n.depth_mm)
     kept = " | ".join(share(one) for one in (n.kept_late, n.kept_rounded, n.kept_calibration, n.kept))
     dropped = f"{n.frames_dropped} of {n.frames_due}"
@@ -157,8 +158,8 @@ def page(seconds: float, write: Path | None, commit: str) -> tuple[str, Latency]
         text = reports(folder, write)
         loops = [measure_latency(SCENE, **SONIC, seconds=seconds, by=by) for by in ("udp", "tcp")]
     loop = [
-        "| connection | samples | dropped frames | median delay [ms] | 95 % [ms] | largest [ms] | a frame on the line "
-        "[ms] |\n|---|---|---|---|---|---|---|",
+        "| connection | samples | dropped frames | median delay [ms] | 95 % [ms] | largest [ms] | "
+        "transmission of a frame [ms] |\n|---|---|---|---|---|---|---|",
         *(
             f"| {one.by} | {one.samples} | {one.dropped} | {one.p50_ms:.1f} | {one.p95_ms:.1f} | {one.largest_ms:.1f} "
             f"| {one.line_ms:.1f} |"
@@ -175,8 +176,9 @@ Written by `python scripts/verification/check_trial.py --write docs/bench/trials
     middle = (
         "\n## Delay from a sample to its sound\n\n"
         "`palmfield track latency` measured the delay from sending a sample to its sound, on a virtual SonicSurface: "
-        f"{loops[0].frames} frames in {seconds:g} s, which is {100 * LINE_SHARE:.0f} % of the capacity of the line. "
-        f"Add 8 to 11 ms for the tracker itself. The goal is {GOAL_MS:g} ms at 95 %.\n\n"
+        f"{loops[0].frames} frames in {seconds:g} s, which is {100 * LINE_SHARE:.0f} % of the capacity of the serial "
+        f"line. Add 8 to 11 ms for the tracker itself. Without the tracker, the 95 % delay must be at most {GOAL_MS:g} "
+        "ms.\n\n"
     )
     if write is not None:
         keep_rows(write, [*HEAD.splitlines(), *rows])

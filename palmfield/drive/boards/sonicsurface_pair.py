@@ -55,7 +55,7 @@ OFF_SEQUENCE = 2 * (bytes([START_CLOCKS]) + OFF_FRAME)
 @dataclass(frozen=True)
 class SonicSurfacePair(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """Return 517 bytes: 192, 254, 256 data bytes, 193, 254, 256 data bytes, swap.
+        """Return 517 bytes, a frame: for each board its address (192, 193), 254, 256 data bytes; at the end 253.
 
         amplitudes: amplitudes of the first array, then of the second, shape (512,), each 0 or of magnitude 1
         """

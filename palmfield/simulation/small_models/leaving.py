@@ -22,8 +22,8 @@ from palmfield.types import Complex, Float
 SHORT_WAVES = 3.0
 """Velocity error due to load outside the class, divided by its fraction of the pressure; approximate.
 
-Its waves are shorter than those of the class, and short waves cause faster motion, because sudden pressure moves skin
-to one wavelength only.
+Such a load makes shorter waves than the loads of the class. Short waves cause faster motion, because sudden pressure
+moves the skin only to a depth of one wavelength.
 """
 
 
@@ -36,11 +36,11 @@ def leaves_small_model(
     emission: Emission,
     t0: float,
 ) -> bool:
-    """Return whether the reduced model of a skin has become invalid.
+    """Return whether the reduced model of a skin has become invalid, so that the full model must replace it.
 
-    Raises SceneError instead if key `solver` names the stepper.
+    It is invalid if the body, an array or the focus has moved, or if the run begins after the start of the sound.
 
-    This is so if body, arrays or focus have moved, or if the run begins after the start of the sound.
+    Raises SceneError instead of returning True if key `solver` names this reduced model.
     """
     part = model.skins[skin]
     if state.skins[skin][0, 0] == WHOLE:

@@ -71,8 +71,8 @@ class Process:
 
     As a context manager it is stopped at the end.
 
-    python, folders: interpreter, and folders on its path: that of palmfield and that of the method's module
-    words: file that receives its standard error
+    python, folders: interpreter of the worker, and folders on its path: those of palmfield and of the method's module
+    words: file that receives the standard error of the worker
     """
 
     def __init__(self, python: Path, folders: Sequence[Path], one: Measured, problem: Path, words: Path) -> None:
@@ -99,9 +99,9 @@ class Process:
         self.child.communicate()
 
     def request(self, order: str) -> dict[str, Any]:
-        """Send one line, and return the answer.
+        """Send an order (one line) to the worker process, and return its answer, decoded from JSON.
 
-        Raises PalmfieldError with the last lines of a worker that has ended.
+        Raises PalmfieldError if the worker has ended; the message has the last line of its standard error.
         """
         assert self.child.stdin is not None and self.child.stdout is not None
         try:
