@@ -26,7 +26,7 @@ class interrupts_delayed:
     """
 
     _inside: ClassVar[bool] = False
-    """Whether the main thread is in such a block."""
+    """Whether the main thread is in a block of this class."""
     # A class, because each sim.step() enters a block and a generator takes more Python calls
     _before: Callable[[int, FrameType | None], object] | None = None
     _arrived = False

@@ -174,7 +174,7 @@ class Board:
 
     @property
     def exact(self) -> bool:
-        """Whether its emission equals the commanded drive exactly."""
+        """Whether the emission of this board equals the commanded drive exactly."""
         return self.line is None
 
     @property
@@ -189,7 +189,7 @@ class Board:
 
     @property
     def levels(self) -> bool:
-        """Whether it plays amplitudes between off and full."""
+        """Whether this board plays amplitudes between off and full."""
         return self.amplitude != "on_off" or self.dither
 
     @property

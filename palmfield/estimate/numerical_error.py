@@ -42,7 +42,7 @@ from palmfield.types import Complex, Float
 LONGEST_COURSE_S = 0.1
 """Longest time over which meshes and steps are compared [s], from the begin of the sound; transients then are over."""
 MOMENTS_A_STEP = 2
-"""Number of times per substep in such a comparison."""
+"""Number of times per substep at which meshes and steps are compared."""
 SOURCES = ("mesh", "step", "reduction", "edge")
 """Sources of these errors: SOURCE_error_relative of the displacement, SOURCE_velocity_error_relative."""
 

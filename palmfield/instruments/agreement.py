@@ -17,7 +17,7 @@ AMBIGUOUS = 0.98
 SEGMENTS = 8
 """Number of half-overlapping Hann windows for a coherence; the coherence of noise is then about 1/5."""
 FEWEST = 16
-"""Smallest number of samples in such a window."""
+"""Smallest number of samples in a Hann window."""
 
 
 class Agreement(NamedTuple):

@@ -76,7 +76,7 @@ class GraphSizes(NamedTuple):
 
 
 class GraphOf(NamedTuple):
-    """What a graph must compute.
+    """Settings of a graph: content of the scene, and what is computed on the device.
 
     worlds: number of worlds, which have the same bodies
     probes: places of sensors, each with the number of its skin

@@ -252,7 +252,7 @@ def check_step(
 def world_by_world(
     stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None
 ) -> Float | None:
-    """Do `SkinStepper.step` for several worlds, one after the other, with a stepper for one world."""
+    """Call `SkinStepper.step` of a stepper for one world for each of several worlds, and return the joined records."""
     records = []
     for world in range(len(state)):
         one = slice(world, world + 1)

@@ -48,7 +48,7 @@ KEYFRAMES = {"standard": ("coords", "cjumps"), "pause": ("cjumps",), "stop": ()}
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a pattern becomes a table.
+    """Settings for the conversion of an Adaptics pattern to a table of foci.
 
     rate_Hz: default: the lowest of RATES_HZ with SAMPLES samples in each period of AM and brushes, at most 40 kHz
     duration_s: default: until a stop, or else the last keyframe; later the pattern keeps its last values

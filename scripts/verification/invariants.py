@@ -50,8 +50,8 @@ is a tenth of key `accuracy`. {over} `tests/test_invariants.py` applies the same
 apply to
 
 - step / 2 (up to the `accuracy`), because MuJoCo's integrator is of first order in the step;
-- follow_fingertip, turned and shifted. A scripted motion is a monotone cubic in each axis of the file
-  ([motion](../motion.md)). So the position of this hand differs by {apart_mm:.2f} mm;
+- follow_fingertip, turned and shifted. Each coordinate of a scripted motion is interpolated separately
+  ([motion](../motion.md)), so the position of this hand depends on the axes: it differs by {apart_mm:.2f} mm;
 - mirrored discs, because rounding decides the diagonals between four nodes on one circle. Up to {elsewhere:.2g} % of
   the nodes then have other positions; the others are compared, to a tenth of the `accuracy`.
 """

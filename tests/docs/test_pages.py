@@ -55,6 +55,12 @@ def test_links_lead_somewhere(page):
 
 
 @pytest.mark.parametrize("page", [*PAGES, *sorted((DOCS / "bench").glob("*.md"))], ids=name_of)
+def test_rows_of_tables_are_whole(page):
+    lines = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL).splitlines()
+    assert not [line for line in lines if line.startswith("| ") and not line.rstrip().endswith("|")]
+
+
+@pytest.mark.parametrize("page", [*PAGES, *sorted((DOCS / "bench").glob("*.md"))], ids=name_of)
 def test_scripts_that_a_page_names_exist(page):
     for path in re.findall(r"\bscripts/[\w/]+\.py", page.read_text()):
         assert (ROOT / path).exists(), path

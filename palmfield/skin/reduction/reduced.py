@@ -195,7 +195,7 @@ class Decoupled:
     end: Float
 
     def march(self, before: Float, states: Float) -> None:
-        """Do all steps; each overwrites its increment in `states`, (w, s, n), by the new z; before: z, (w, n)."""
+        """Do all steps; each overwrites its increment in `states`, (w, s, n), by the new z; before: first z, (w, n)."""
         count = 2 * len(self.grow)
         for i in range(states.shape[1]):
             after = states[:, i]
