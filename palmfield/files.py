@@ -61,7 +61,7 @@ def regular(path: str | Path, most_bytes: int = MOST_BYTES) -> Path:
 
 
 def read_bytes(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
-    """Return the content of a regular file. Raises OSError as `regular` does."""
+    """Return the content of a regular file. Raises OSError like `regular`."""
     with regular(path, most_bytes).open("rb") as file:
         data = file.read(most_bytes + 1)
     if len(data) > most_bytes:  # files of /proc have a stated size of 0
@@ -72,17 +72,17 @@ def read_bytes(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: str | Path, encoding: str = "utf-8", most_bytes: int = MOST_BYTES) -> str:
-    r"""Return the text of a regular file with line ends \n. Raises OSError as `regular`, and UnicodeDecodeError."""
+    r"""Return the text of a regular file with line ends \n. Raises OSError like `regular`, and UnicodeDecodeError."""
     return read_bytes(path, most_bytes).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Return the tables of a TOML file. Raises OSError as `regular`, ValueError for other text and as `plain`."""
+    """Return the tables of a TOML file. Raises OSError like `regular`, ValueError for other text and like `plain`."""
     return plain(tomllib.loads, read_text(path, most_bytes=MOST_SETTINGS_BYTES))
 
 
 def read_json(path: str | Path) -> Any:
-    """Return the content of a JSON file. Raises OSError as `regular`, ValueError for other text and as `plain`."""
+    """Return the content of a JSON file. Raises OSError like `regular`, ValueError for other text and like `plain`."""
     return plain(json.loads, read_text(path, most_bytes=MOST_SETTINGS_BYTES))
 
 

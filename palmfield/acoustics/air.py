@@ -31,7 +31,7 @@ def sound_speed_sd(air: Air, temperature_sd_K: float) -> float:
 
 
 def density(air: Air) -> float:
-    """Return the density [kg/m3] of dry air at this temperature and pressure. Raises SceneError as `check`."""
+    """Return the density [kg/m3] of dry air at this temperature and pressure. Raises SceneError like `check`."""
     check(air)
     return air.pressure_Pa / (GAS_CONSTANT_AIR * (air.temperature_C + ZERO_CELSIUS_K))
 

@@ -43,7 +43,7 @@ def positions(values: ArrayLike) -> NDArray[Any]:
 def points(values: ArrayLike, dtype: type[np.floating]) -> NDArray[np.floating]:
     """Return positions as a contiguous array of `dtype`, shape (n, 3).
 
-    Raises PalmfieldError as `positions`, and for NaN, infinity, and coordinates beyond FARTHEST_m.
+    Raises PalmfieldError like `positions`, and for NaN, infinity, and coordinates beyond FARTHEST_m.
     """
     result = positions(values)
     if not (np.abs(result) <= FARTHEST_m).all():
@@ -61,7 +61,7 @@ def drive(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
 
 
 def amplitudes(values: ArrayLike, count: int, name: str) -> NDArray[np.complex128]:
-    """Return complex amplitudes, shape (count,). Raises as `drive`; name: name of the array, for messages."""
+    """Return complex amplitudes, shape (count,). Raises like `drive`; name: name of the array, for messages."""
     drive = numbers(values, "drive").astype(np.complex128)
     if drive.shape != (count,):
         raise PalmfieldError(f"drive has shape {drive.shape} but {name} has {count} transducers: give shape ({count},)")

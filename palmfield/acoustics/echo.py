@@ -47,7 +47,7 @@ def image_shifts(air: Air, frequency_Hz: float, distance_m: float, outward: Floa
     """Return the offsets of the images from the array [m], shape (images, 3).
 
     distance_m: distance from the plane of the transducers to the wall; outward: unit normal of that plane, shape (3,)
-    Raises SceneError as `image_count`.
+    Raises SceneError like `image_count`.
     """
     numbers = np.arange(1, image_count(air, frequency_Hz, distance_m) + 1)
     return np.asarray(-2.0 * distance_m * numbers[:, None] * outward)

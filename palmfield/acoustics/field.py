@@ -132,7 +132,7 @@ class FieldSum(ABC):
         return Field(*results)
 
     def upload(self, points: ArrayLike) -> Points:
-        """Copy points [m], shape (n, 3), to the device for several calls of `pressure`; errors as `pressure`."""
+        """Copy points [m], shape (n, 3), to the device for several calls of `pressure`; errors like `pressure`."""
         one = self.parts[0][0]
         where = check.points(points, one.real)
         array: Any = wp.array(where, dtype=one.vectors[0], device=self.device)
@@ -388,7 +388,7 @@ class _Call:
         return True
 
     def run_on_device(self, parts: Parts, points: Points, drive: Complex, normals: Any, results: list[Any]) -> None:
-        """Fill Warp arrays from Warp arrays as `run`, asynchronously."""
+        """Fill Warp arrays from Warp arrays like `run`, but asynchronously."""
         launch = self._prepared(parts, points.low, points.high, drive, False)
         arrays = self._inputs.arrays
         with self._guard:

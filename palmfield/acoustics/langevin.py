@@ -40,7 +40,7 @@ def radiation_force(field: Field, normals: ArrayLike, areas: ArrayLike, air: Air
 
     field: total sound at the centre of each surface element, n points
     normals: unit, outward, shape (n, 3); areas: areas or quadrature weights [m2], shape (n,)
-    Raises as `radiation_stress`, and PalmfieldError for normals or areas of another length.
+    Raises like `radiation_stress`, and PalmfieldError for normals or areas of another length.
     """
     outward, weight = np.asarray(normals, dtype=float), np.asarray(areas, dtype=float)
     count = len(field.pressure)

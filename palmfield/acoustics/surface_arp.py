@@ -118,7 +118,7 @@ class SurfaceArp:
         """Return the ARP [Pa] of sums of a few drives, levels @ units, shape (m, count); each field is computed once.
 
         units: drives, shape (k, field.count); silent transducers cost nothing. levels: weight of each, shape (m, k).
-        Raises PalmfieldError as `evaluate`, and for levels that are not finite or not of shape (m, k).
+        Raises PalmfieldError like `evaluate`, and for levels that are not finite or not of shape (m, k).
         """
         shape = self.count, 3
         if points.shape != shape or normals.shape != shape or units.shape[1:] != (self.field.count,):
@@ -222,7 +222,7 @@ class SurfaceArp:
 
         drives: shape (m, field.count). shades: as for `evaluate`; they exclude a matrix.
         amplitudes: array to fill with the peak amplitudes of the pressures [Pa], shape (m, count), float32.
-        Raises PalmfieldError as `evaluate`, and for normals that are not unit vectors.
+        Raises PalmfieldError like `evaluate`, and for normals that are not unit vectors.
         """
         evaluator, frames = self.field.evaluators[0], len(drives)
         result = np.empty((frames, self.count), np.float32)

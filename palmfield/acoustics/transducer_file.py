@@ -32,7 +32,7 @@ class TransducerTable:
     addresses: tuple[int, ...] | None
 
     def array(self, p0_Pa_m: float) -> Array:
-        """Return the array. Raises SceneError as `palmfield.acoustics.placement.from_poses`."""
+        """Return the array. Raises SceneError like `palmfield.acoustics.placement.from_poses`."""
         address = None if self.addresses is None else np.array(self.addresses, np.int32)
         gain = None if self.gains is None else np.array(self.gains)
         return from_poses("csv", self.positions, self.normals, p0_Pa_m, address=address, gain=gain)

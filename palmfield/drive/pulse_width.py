@@ -25,8 +25,8 @@ EDGE_TURNS: dict[Edge, float] = {"leading": 0.5, "trailing": -0.5, "centre": 0.0
 def widths(amplitude: ArrayLike, ticks: int, exponent: float = 2.0) -> Int:
     """Return the pulse width in ticks, round(ticks d(amplitude)), shape of amplitude, int32; 0 to ticks/2.
 
-    AUTD3 has ticks = 512 and amplitude = i/255 for an intensity byte i. Raises DeviceError as `duty_cycle`, and for an
-    odd number of ticks or less than 2.
+    AUTD3 has ticks = 512 and amplitude = i/255 for an intensity byte i. Raises DeviceError like `duty_cycle`, and if
+    ticks is odd or less than 2.
     """
     if ticks < 2 or ticks % 2:
         raise DeviceError(f"ticks = {ticks} is not even and at least 2: use for example {AUTD3_TICKS}")

@@ -47,7 +47,7 @@ class OneWorld:
         """Run up to `most` MuJoCo steps, and return their number.
 
         Forces and sensors are computed only for the last one. If forces affect the motion, or sensors are read, it is
-        one step. Raises as `step`.
+        one step. Raises like `step`.
         """
         runtime = self.runtimes[0]
         count = most if most > 1 and runtime.may_gather else 1

@@ -360,7 +360,7 @@ class SceneRuntime:
         return place
 
     def check_sensors(self) -> None:
-        """Check all sensors before the run. Raises SceneError as `place` for a sensor without a valid place."""
+        """Check all sensors before the run. Raises SceneError like `place` for a sensor without a valid place."""
         for skin, bound in enumerate(self.binding.skins):
             for sensor in self.view.sensors(bound.instance):
                 check_site(self.model.skins[skin], *self._site(skin, sensor))

@@ -182,7 +182,7 @@ def checked_angles(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> Fl
 def bone_poses(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> tuple[Float, Float]:
     """Return origins [m], shape (bones, 3), and rotations, shape (bones, 3, 3), of all bones in the frame of the root.
 
-    The root (forearm) does not move. Raises SceneError as `checked_angles`.
+    The root (forearm) does not move. Raises SceneError like `checked_angles`.
     """
     return poses_at(hand, checked_angles(hand, angles_deg))
 

@@ -66,10 +66,10 @@ def load_mesh(path: str | Path, unit: str) -> Surface:
 
 
 def load_rigged(path: str | Path, unit: str = "auto", longest_edge_m: float | None = None) -> RiggedMesh:
-    """Read a closed surface with joints and weights from a glTF, GLB or MANO .pkl file; otherwise as `load_mesh`.
+    """Read a closed surface with joints and weights from a glTF, GLB or MANO .pkl file; otherwise like `load_mesh`.
 
     Edges longer than longest_edge_m [m] are halved, and weights are interpolated.
-    Raises SceneError as `load_mesh`, and for a file without joints.
+    Raises SceneError like `load_mesh`, and for a file without joints.
     """
     examined = _accepted(path, unit, longest_edge_m)
     if examined.rig is None:

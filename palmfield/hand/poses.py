@@ -127,7 +127,7 @@ def posed_surface(hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: 
     """Return the skin in a pose, in the frame of the hand at rest; the forearm is fixed.
 
     repair_m: largest displacement of vertices [m] to remove self-intersections; `posed_and_repaired` reports it
-    Raises SceneError as `checked_angles`, and with parts and places if the skin still intersects itself.
+    Raises SceneError like `checked_angles`, and with parts and places if the skin still intersects itself.
     """
     return posed_and_repaired(hand, angles_deg, repair_m)[0]
 
@@ -135,7 +135,7 @@ def posed_surface(hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: 
 def posed_and_repaired(
     hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: float
 ) -> tuple[Surface, Repair | None]:
-    """Return the skin as `posed_surface`, and a report of the repair, None if no repair was needed."""
+    """Return the skin like `posed_surface`, and a report of the repair, None if no repair was needed."""
     if not 0.0 <= repair_m <= MOST_REPAIR_m:
         raise SceneError(
             f"hand pose: repair_m is {repair_m:g}; allowed: 0 to {MOST_REPAIR_m:g} m, because larger values change "

@@ -153,7 +153,7 @@ class SkinnedSurface:
         return Surface(vertices, self.surface.faces, normals)
 
     def pose(self, bone_positions: Float, bone_rotations: Float) -> None:
-        """Compute `vertices` and `normals` on the device asynchronously. Raises SceneError as `posed`."""
+        """Compute `vertices` and `normals` on the device asynchronously. Raises SceneError like `posed`."""
         with self._lock:
             self._blend_to(bone_positions, bone_rotations)
             self._make_normals()
@@ -211,7 +211,7 @@ class SkinnedHand(SkinnedSurface):
     """
 
     def __init__(self, preset: HandPreset, edge_m: float = 0.003, device: str = "cpu") -> None:
-        """Raises SceneError as `hand_surface`, and PalmfieldError for an unknown device."""
+        """Raises SceneError like `hand_surface`, and PalmfieldError for an unknown device."""
         self.hand, surface, weights = _hand_with_weights(preset.model_dump_json(), edge_m)
         super().__init__(self.hand.bones, surface, weights, device)
 
@@ -226,7 +226,7 @@ def _hand_with_weights(preset: str, edge_m: float) -> tuple[ArticulatedHand, Sur
 
 @lru_cache(maxsize=2)
 def rigged_file(path: str, unit: str) -> RiggedMesh:
-    """Return a user's rigged mesh with edges up to EDGE_m, cached. Raises SceneError as `load_rigged`."""
+    """Return a user's rigged mesh with edges up to EDGE_m, cached. Raises SceneError like `load_rigged`."""
     from palmfield.hand.meshfile import load_rigged
 
     return load_rigged(path, unit, EDGE_m)

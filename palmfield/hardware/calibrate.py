@@ -41,7 +41,7 @@ def add_readings(kind: str, readings: Path, board: Path, layout: str | None, cir
 def imported(file: Path, board: Path) -> list[str]:
     """Convert a vendor file of an OpenMPD board to a calibration; return a description.
 
-    Raises SceneError for an invalid file and for an existing calibration, and OutputError as `add_readings`.
+    Raises SceneError for an invalid file and for an existing calibration, and OutputError like `add_readings`.
     """
     if board.exists():
         raise SceneError(f"{board} already exists; give another file")

@@ -73,7 +73,7 @@ def displacement_reading(
     The beam is fixed in space, so with tangential motion or an oblique beam it meets other points of the surface. The
     reading is (u . n)/(b . n) for motion u, normal n and beam b; a vibrometer reads u . b.
     Order of operations: mean over the spot, sampling, moving average, noise, range, resolution.
-    Raises MeasurementError for a beam of length 0 or along the surface, and as `spot_weights`.
+    Raises MeasurementError for a beam of length 0 or along the surface, and like `spot_weights`.
     """
     beam = np.array(settings.beam)
     if not np.linalg.norm(beam) > 0.0:

@@ -146,7 +146,7 @@ def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> C
 def face_factor(settings: Microphone, wavenumber: float | None = None) -> float:
     """Return the pressure rise of the face for sound from the front: 1 free, 2 with doubling, or `face_rise`.
 
-    A cylinder needs the wavenumber [rad/m]. Raises MeasurementError without it, and as `face_rise`."""
+    A cylinder needs the wavenumber [rad/m]. Raises MeasurementError without it, and like `face_rise`."""
     if settings.face == "cylinder":
         if wavenumber is None:
             raise MeasurementError(

@@ -77,7 +77,7 @@ def strongest_line(
     """Return frequency [Hz] and amplitude of the largest bin of `amplitude_spectrum` in a band.
 
     time_s, signal, taper: as for `amplitude_spectrum`; band_Hz: (lowest, highest) [Hz], both included
-    Raises MeasurementError as `amplitude_spectrum`, and if no bin is in the band.
+    Raises MeasurementError like `amplitude_spectrum`, and if no bin is in the band.
     """
     frequency, amplitude = amplitude_spectrum(time_s, signal, taper=taper)
     chosen = _in_band(frequency, band_Hz)

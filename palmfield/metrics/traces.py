@@ -61,7 +61,7 @@ def mean_value(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -
     """Return the mean of the samples in a window, in the unit of the signal.
 
     times_s: rising [s], shape (t,); values: values in any unit, shape (t,); window_s: as for `within`
-    Raises MeasurementError as `within`.
+    Raises MeasurementError like `within`.
     """
     return float(within(times_s, values, window_s)[1].mean())
 
@@ -70,7 +70,7 @@ def steady_value(times_s: ArrayLike, values: ArrayLike, window_s: tuple[float, f
     """Return the final value of a step response: the mean over a window near the end of the stimulus.
 
     times_s: rising [s], shape (t,); values: values in any unit, shape (t,); window_s: as for `within`
-    Raises MeasurementError as `within`.
+    Raises MeasurementError like `within`.
     """
     return mean_value(times_s, values, window_s)
 
@@ -82,7 +82,7 @@ def peak(
 
     times_s: rising [s], shape (t,); values: values in any unit, shape (t,); window_s: as for `within`
     of: "magnitude", "negative" or "positive"
-    Raises MeasurementError as `within`, and for another `of`.
+    Raises MeasurementError like `within`, and for another `of`.
     """
     times, signal = within(times_s, values, window_s, single=True)
     if of not in ("magnitude", "negative", "positive"):
@@ -97,7 +97,7 @@ def overshoot(times_s: ArrayLike, values: ArrayLike, steady: float, window_s: Wi
 
     times_s, values, window_s: as for `mean_value`
     steady: steady value, not 0, for example by `steady_value`; the peak has the sign of the steady value
-    Raises MeasurementError as `within`, and for a steady value of 0.
+    Raises MeasurementError like `within`, and for a steady value of 0.
     """
     if not (np.isfinite(steady) and steady != 0.0):
         raise MeasurementError(f"the steady value is {steady}; an overshoot is relative to one that is not 0")
@@ -157,7 +157,7 @@ def rms(
 
     times_s: rising [s], shape (t,); values: values in any unit, shape (t,); window_s: as for `within`
     mean: "kept" or "removed", whether the mean is subtracted first
-    Raises MeasurementError as `within`, and for another `mean`.
+    Raises MeasurementError like `within`, and for another `mean`.
     """
     signal = within(times_s, values, window_s)[1]
     return float(np.sqrt(np.mean((signal - _mean(signal, mean)) ** 2)))

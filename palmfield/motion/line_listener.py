@@ -110,7 +110,7 @@ class LineListener(Closing):
     def wait(self, after: int, timeout_s: float) -> bool:
         """Wait until more than `after` valid lines have arrived; return whether they have.
 
-        Raises DeviceError as `check`.
+        Raises DeviceError like `check`.
         """
         with self._news:
             self._news.wait_for(lambda: self.received > after or self._failed is not None, timeout_s)

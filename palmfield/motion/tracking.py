@@ -165,7 +165,7 @@ def read_stream(path: str | Path) -> Stream:
     Columns (arrays of one length in an NPZ): time_s and, for each of JOINTS, JOINT_x_m, JOINT_y_m, JOINT_z_m, JOINT_qw,
     JOINT_qx, JOINT_qy, JOINT_qz, JOINT_radius_m and JOINT_flags (XrSpaceLocationFlags as a whole number). Cells are
     numbers, which may be nan for an invalid joint. Other columns are refused.
-    Raises SceneError as `read_trajectory` for the table and as `checked_stream` for its numbers.
+    Raises SceneError like `read_trajectory` for the table and like `checked_stream` for its numbers.
     """
     file = Path(path)
     names = column_names()
@@ -191,7 +191,7 @@ def read_stream(path: str | Path) -> Stream:
 def write_stream(path: str | Path, stream: Stream) -> None:
     """Write a stream to a CSV or NPZ file that `read_stream` reads.
 
-    Raises SceneError as `checked_stream`, OutputError for a file that cannot be written.
+    Raises SceneError like `checked_stream`, OutputError for a file that cannot be written.
     """
     checked = checked_stream(stream, "tracking stream")
     table = np.concatenate(

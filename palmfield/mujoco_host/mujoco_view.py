@@ -167,7 +167,7 @@ class ModelView:
         return {key: text.decode() for key, text in texts.items() if text}
 
     def keys(self, config: type[Config], instance: int) -> Any:
-        """Return the typed keys of a plugin instance. Raises SceneError as `palmfield.config.parse`."""
+        """Return the typed keys of a plugin instance. Raises SceneError like `palmfield.config.parse`."""
         _, plugin, name = self.instances()[instance]
         return parse(config, self.values(instance, known_keys(config)), f"plugin '{plugin}' instance '{name}'")
 

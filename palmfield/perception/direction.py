@@ -57,7 +57,7 @@ def level_course(
     """Return the perceived level of each point over time, in units of threshold, shape (t, n).
 
     The level is the running root mean square of `weighted` with exponential time constant integration_s [s], or its
-    magnitude for 0. Raises OutputError as `weighted`, and for a time below 0.
+    magnitude for 0. Raises OutputError like `weighted`, and for a time below 0.
     """
     if not (math.isfinite(integration_s) and integration_s >= 0.0):
         raise OutputError(f"integration_s is {integration_s}; give seconds, 0 or more")

@@ -308,7 +308,7 @@ def _fit_many(
     form: _Form, place: Float, n: Float, right: Float, guess: float,
     bounds: list[tuple[float, float]], first: Float,
 ) -> Float:  # fmt: skip
-    """Fit many samples, right: shape (m, k), as `_fit_one`, by damped Fisher scoring; returns shape (m, 3)."""
+    """Fit many samples, right: shape (m, k), like `_fit_one`, but by damped Fisher scoring; returns shape (m, 3)."""
     low, high = np.array(bounds).T
     free = np.flatnonzero(low < high)
     values = np.tile(first, (len(right), 1))

@@ -128,7 +128,7 @@ def plan(
     scene: a path, an MjSpec, a compiled model or a Simulation
     duration_s: duration of the run [s]; the default is that of the scene
     Other arguments: see `palmfield.load`
-    Raises SceneError as `palmfield.load` does, if a skin layer cannot be built, and for a duration that is not > 0.
+    Raises SceneError like `palmfield.load`, if a skin layer cannot be built, and for a duration that is not > 0.
     """
     if duration_s is not None:
         check_duration(duration_s)

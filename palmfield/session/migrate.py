@@ -80,7 +80,7 @@ def migrate(path: Path, out: Path | None = None, *, overwrite: bool = False) -> 
 
     out: file to write, default the file itself
     overwrite: whether an existing file may be replaced
-    Raises SceneError as `migrated` does, OutputError if a file may not be replaced or cannot be written.
+    Raises SceneError like `migrated`, OutputError if a file may not be replaced or cannot be written.
     """
     result = migrated(path)
     target = path if out is None else out

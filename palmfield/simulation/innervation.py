@@ -72,7 +72,7 @@ def endings_of(layer: SceneLayer) -> Endings:
 
 
 def innervation_of(layer: SceneLayer) -> Innervation:
-    """Return the afferents of a layer. Raises SceneError as `endings_of`, and if endings are deeper than the layer."""
+    """Return the afferents of a layer. Raises SceneError like `endings_of`, and if an ending is below the layer."""
     operators, config, endings = list[sparse.csr_matrix](), layer.config, endings_of(layer)
     for number, (name, afferent) in enumerate(AFFERENTS.items()):
         own = endings.names == name

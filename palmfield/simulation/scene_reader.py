@@ -142,7 +142,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
 def with_files_found(config: AnyConfig, element: str) -> AnyConfig:
     """Return the keys of a module. File names are replaced by absolute paths.
 
-    Raises SceneError as `palmfield.data.find_file`, with element and key.
+    Raises SceneError like `palmfield.data.find_file`, with element and key.
     """
     paths = {}
     for key in config.files:
@@ -198,7 +198,7 @@ def _arrays(
 def array_files(config: ArrayConfig, element: str) -> "tuple[Calibration | None, TransducerTable | None]":
     """Return the contents of the files of keys calibration and transducers, None for a key that is not set.
 
-    Raises SceneError as `read_file` and `check_calibrated_once`.
+    Raises SceneError like `read_file` and `check_calibrated_once`.
     """
     if config.calibration is None and config.transducers is None:
         return None, None
@@ -360,8 +360,8 @@ def am_table_of(config: StimulusConfig, element: str) -> "AmTable | None":
 def focus_table_of(config: StimulusConfig, element: str) -> "FocusTable | None":
     """Return the foci in the file of key path_file; None without a file.
 
-    Raises SceneError, with element and key, as `palmfield.stimulus.focus_table_file.read_focus_table`, and for a table
-    in another frame than that of key `frame`.
+    Raises SceneError, with element and key, like `palmfield.stimulus.focus_table_file.read_focus_table`, and for a
+    table in another frame than that of key `frame`.
     """
     if config.path != "file":
         return None

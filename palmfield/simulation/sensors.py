@@ -80,7 +80,7 @@ def check_site(skin: SkinModel, site: Float, element: str) -> None:
 
 
 def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
-    """Return the sensor place for a site, body frame at rest [m], (3,). Raises SceneError as `check_site`."""
+    """Return the sensor place for a site, body frame at rest [m], (3,). Raises SceneError like `check_site`."""
     check_site(skin, site, element)
     probe = skin.layer.probe(site)
     return SensorPlace(probe, skin.carrier.bind(probe.closest))

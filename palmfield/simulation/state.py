@@ -130,7 +130,7 @@ def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinS
 
 
 def claim(model: HapticModel, state: HapticState, skin: int, stepper: SkinStepper, of_any_owner: bool = False) -> None:
-    """Write this stepper into the header of a skin as the owner of its numbers. Raises SceneError as `stepper_of`.
+    """Write this stepper into the header of a skin as the owner of its numbers. Raises SceneError like `stepper_of`.
 
     of_any_owner: whether to accept numbers of any owner; they must be valid for the stepper
     """

@@ -264,7 +264,7 @@ class SkinProblem:
 
     @cached_property
     def points(self) -> Float:
-        """Points on the face of the body [m], shape (n, 3). Raises SceneError as `points_on_face`."""
+        """Points on the face of the body [m], shape (n, 3). Raises SceneError like `points_on_face`."""
         return points_on_face(self.body, self.at)
 
     def refuse(self, solver: str, refusal: Callable[[Body, Load], str | None]) -> None:
@@ -357,7 +357,7 @@ def requested_points(at: ArrayLike) -> Float:
 
 
 def in_space(at: ArrayLike) -> Float:
-    """Return points as an array (n, 3), with z = 0 if they have no z. Raises SceneError as `requested_points`."""
+    """Return points as an array (n, 3), with z = 0 if they have no z. Raises SceneError like `requested_points`."""
     points = requested_points(at)
     return points if points.shape[1] == 3 else np.column_stack([points, np.zeros(len(points))])
 
@@ -371,7 +371,7 @@ def lifted(patch: Patch, places: Float) -> Float:
 
 
 def points_on_face(body: Body, at: ArrayLike) -> Float:
-    """Return requested points [m], (n, 3); z = 0 on a slab. Raises SceneError as `requested_points`, or off the body.
+    """Return requested points [m], (n, 3); z = 0 on a slab. Raises SceneError like `requested_points`, or off the body.
 
     A point is off a layer if no vertex of the patch is nearer than the longest edge of the patch.
     """

@@ -160,7 +160,7 @@ def read_adaptics(file: Path, sampling: Sampling | None = None) -> FocusTable:
 
 
 def table_of_pattern(content: object, sampling: Sampling) -> FocusTable:
-    """Evaluate the content of a file as `read_adaptics`."""
+    """Evaluate the content of a file, see `read_adaptics`."""
     top = _Part(content, "")
     fixed = {"$DATA_FORMAT": top.kind("$DATA_FORMAT", (FORMAT,)), "$REVISION": top.kind("$REVISION", REVISIONS)}
     parts = top.fields((*fixed, "name", "keyframes", "pattern_transform", "user_parameter_definitions"))

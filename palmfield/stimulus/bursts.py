@@ -50,7 +50,7 @@ def onsets(start_s: float, end_s: float, *, length_s: float, period_s: float, co
     Only times with start_s < t <= end_s are returned.
 
     Consecutive bursts without a gap (length_s = period_s) have no jump between them.
-    Raises SceneError as `burst` does.
+    Raises SceneError like `burst`.
     """
     _check(length_s, period_s, count)
     if not (math.isfinite(start_s) and math.isfinite(end_s) and abs(end_s - start_s) <= MOST_BURSTS * period_s):

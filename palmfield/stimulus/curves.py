@@ -166,7 +166,7 @@ def zigzag_about(length_m: float, width_m: float, stroke_m: float) -> tuple[Floa
 
 
 def zigzagged(path: PlanePath, width_m: float, stroke_m: float) -> PlanePath:
-    """Return a zigzag of this width about an open path, as `zigzag_about`, with straight strokes from edge to edge.
+    """Return a zigzag of this width about an open path, like `zigzag_about`, with straight strokes from edge to edge.
 
     Raises SceneError for bad sizes, and for a closed path, where the ends of the zigzag would not meet.
     """

@@ -257,5 +257,5 @@ def focus_table_text(table: FocusTable) -> str:
 
 
 def write_focus_table(path: Path, table: FocusTable) -> None:
-    """Write a table as `focus_table_text`. Raises OutputError if it cannot be written."""
+    """Write a table in the form of `focus_table_text`. Raises OutputError if it cannot be written."""
     write_text(path, focus_table_text(table))

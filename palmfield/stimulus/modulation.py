@@ -196,7 +196,7 @@ def arp_of_pulses(am: Modulation, share: Float) -> Float:
 
 @lru_cache(maxsize=256)
 def modulation_of(config: StimulusConfig) -> Modulation | None:
-    """Return the modulation of a stimulus, or None. For duty, raises SceneError as `peak_amplitude`."""
+    """Return the modulation of a stimulus, or None. For duty, raises SceneError like `peak_amplitude`."""
     if config.modulation == "none":
         return None
     assert config.am_quantity is not None and config.am_depth is not None

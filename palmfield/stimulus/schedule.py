@@ -374,7 +374,7 @@ def _straight(count: int) -> Moments:
 
 @lru_cache(maxsize=64)
 def _middles(count: int) -> Moments:
-    """Return moments as `_straight`, with the middle of each step as its only time."""
+    """Return moments like `_straight`, but with the middle of each step as its only time."""
     whole = _locked(np.eye(count))
     return Moments(_locked(0.5 + np.arange(float(count))), whole, whole, (False,) * count, (1.0,) * count, 1.0)
 

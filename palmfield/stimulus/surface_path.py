@@ -175,7 +175,7 @@ def zigzag_through(surface: Surface, waypoints: ArrayLike, width_m: float, strok
     """Return an open zigzag along a surface about the shortest path through points in order.
 
     Its corners are at a distance of width_m / 2 on both sides of that path, every stroke_m along it; strokes are the
-    shortest paths from corner to corner. It begins on the right as seen from outside. Raises SceneError as `through`,
+    shortest paths from corner to corner. It begins on the right as seen from outside. Raises SceneError like `through`,
     for bad sizes, and if the surface ends within the width.
     """
     line = through(surface, waypoints)

@@ -162,7 +162,7 @@ def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
     """Return the reduced model for the predicted load.
 
     Its parts are cached under the inputs of the load, so a later run need not compute the load. Its vectors are cached
-    under the load itself, for use at any level. Raises SceneError as `reduced_stepper`.
+    under the load itself, for use at any level. Raises SceneError like `reduced_stepper`.
     """
     part = model.skins[skin]
     layer, posed = part.layer, reference_scene(model)

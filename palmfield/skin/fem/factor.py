@@ -131,7 +131,7 @@ def superlu(matrix: Any, order: Int | None = None) -> Factor:
 
 
 class Cholesky:
-    """Factor of one matrix, sparse (n, n), eliminated in an order (n,); errors as `block_factor`.
+    """Factor of one matrix, sparse (n, n), eliminated in an order (n,); errors like `block_factor`.
 
     A factor serves one thread at a time: others wait.
     """

@@ -59,7 +59,7 @@ def inertial_forces(system: SkinSystem, shares: Float) -> Float:
 def inertial_model(system: SkinSystem, shares: Float, read: sparse.csr_matrix) -> Reduced:
     """Return the reduced model from the numbers of the bones to what an operator reads (k, n); shares: see above.
 
-    Stored in the cache (`palmfield.cache`). Raises SceneError as `reduce`.
+    Stored in the cache (`palmfield.cache`). Raises SceneError like `reduce`.
     """
 
     def make() -> cache.Arrays:

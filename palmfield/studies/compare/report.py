@@ -163,7 +163,7 @@ def guided_modes(
 
     source_m: source on the skin [m], (3,); None: point of largest computed motion
     radius_m: radius about the source that is excluded
-    Raises MeasurementError for skin that is not flat, and as `line_amplitudes` and `guided_mode_fit`.
+    Raises MeasurementError for skin that is not flat, and like `line_amplitudes` and `guided_mode_fit`.
     """
     assert computed.sights is not None
     points = computed.points

@@ -57,7 +57,7 @@ def run_experiment(
     port: port of the board
     virtual: whether to use a virtual board; with neither there is no sound, which suffices for simulated observers
     board: board that replaces that of the design or scene, as in `palmfield.load`
-    Raises OutputError for an invalid design and a log of another design, SceneError and DeviceError as `drive` does.
+    Raises OutputError for an invalid design and a log of another design, SceneError and DeviceError like `drive`.
     """
     design = read_design(experiment)
     scene = experiment.parent / design.scene

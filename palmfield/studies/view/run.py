@@ -416,7 +416,7 @@ def view(
     pace: largest simulated time per real time; inf for no limit
     live: source of a tracked hand, which the only articulated hand of the scene follows in place of its script
     on_ready: called with the address of the page
-    Raises SceneError or DeviceError as `palmfield.Simulation` does, and OutputError if the page is not available or its
+    Raises SceneError or DeviceError like `palmfield.Simulation`, and OutputError if the page is not available or its
     process ends before the view.
     """
     need_viser()
@@ -485,7 +485,7 @@ class Recording:
     """
 
     def __init__(self, sim: Simulation, out: Path, scene: str, keys: Mapping[str, object]) -> None:
-        """scene: file of the scene; keys: keys that differ from the file. Raises OutputError as `Store` does."""
+        """scene: file of the scene; keys: keys that differ from the file. Raises OutputError like `Store`."""
         self.out, self._sim = out, sim
         self._store = Store(out, initial_block(sim), result_attributes(sim))
         self._blocks = Blocks(steps_watched(sim), self._store)

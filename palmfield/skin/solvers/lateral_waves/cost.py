@@ -27,7 +27,7 @@ def cost_lateral_waves(problem: SkinProblem) -> float:
     """Return the predicted time [s] on one core, to a factor of about two; infinite for bodies that cannot be solved.
 
     Fitted to process times on Ecoflex 20 mm at 0.1 to 5 %, and on a plate of 10 mm under a fast spot.
-    Raises SceneError as `check_sides`.
+    Raises SceneError like `check_sides`.
     """
     body, load, requested, points = problem.body, problem.load, problem.times, problem.at[:, :2]
     if not isinstance(body, Slab):

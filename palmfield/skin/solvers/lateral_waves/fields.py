@@ -222,7 +222,7 @@ class WalledDisc(_Field):
         """Return the outward normal velocity [m/s] at times [s] on a square round the disc, (t, n, n); 0 off the disc.
 
         places_m: coordinates along x and along y [m], shape (n,); default: spacing `spacing_m`, symmetric
-        Raises SceneError for a spot of another width or nearer to the wall than 1.6 widths, and times as `solve`.
+        Raises SceneError for a spot of another width or nearer to the wall than 1.6 widths, and for times like `solve`.
         """
         times = _checked_times(spot, times_s, self.fwhm_m)
         places = self.places(spacing_m) if places_m is None else np.asarray(places_m, dtype=float)
