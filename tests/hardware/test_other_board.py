@@ -27,6 +27,7 @@ BOARD_OF = {
     "follow_fingertip": "autd2018",
     "grasp_object": "autd3",
     "hover_explore": "autd2018",
+    "live_palm": "autd2018",
     "palm_am200": "autd2018",
     "palm_and_fingertip": "autd3",
     "palm_circle": "autd2018",
