@@ -27,8 +27,8 @@ NARROWEST = 0.75
 FLAT = 0.1
 """Quality of a triangle below which no depth is fitted to it."""
 GAUGE, LEAST_GAUGE_m, WIDEST_GAUGE_m = 0.05, 8e-4, 4e-3
-"""Edge of the triangles for the depth of a layer, as a share of the radius, and its limits. Below fingertips columns
-meet: edges of 0.4 mm gave half of a depth of 6 mm, 0.8 mm gives 0.7 to 0.9 of it."""
+"""Edge of the triangles for the depth of a layer, as a share of the radius, and its limits. Below fingertips of meshes
+columns meet: edges of 0.4 mm gave half of a depth of 6 mm, 0.8 mm gives 0.7 to 0.9 of it."""
 
 
 def surface_patch(
@@ -76,14 +76,23 @@ def surface_patch(
     direction = None if facing is None else _unit_vector(facing, "facing")
     fine_middle = None if fine_at is None else np.asarray(fine_at, dtype=np.float64)
     symmetry = None if axis is None else _unit_vector(axis, "axis")
-    of = surface, thickness, middle, lengths, direction, fine_middle
+    # A depth by vertex ends at bones, where no columns meet
+    least_m = LEAST_GAUGE_m if np.ndim(depth) == 0 else 0.0
+    gauge_m = min(max(GAUGE * radius_m, least_m), WIDEST_GAUGE_m)
+    of = surface, thickness, middle, lengths, gauge_m, direction, fine_middle
     made = cache.kept("patch", of, lambda: _made(*of))
     report = dict(zip(made["report_names"].tolist(), made["report"].tolist(), strict=True))
     return Patch(**{name: made[name] for name in MADE}, axis=symmetry, report=report)
 
 
 def _made(
-    surface: Surface, thickness: Float, middle: Float, lengths: Lengths, facing: Float | None, fine_at: Float | None
+    surface: Surface,
+    thickness: Float,
+    middle: Float,
+    lengths: Lengths,
+    gauge_m: float,
+    facing: Float | None,
+    fine_at: Float | None,
 ) -> cache.Arrays:
     """Return the arrays of `surface_patch` by the names MADE, and the report."""
     radius_m, _, coarse_m, *_ = lengths
@@ -91,7 +100,6 @@ def _made(
     outward = _outward(surface, seed, origin) if facing is None else facing
     region = facing_region(surface, origin, seed, outward, radius_m)
     shape = trace_shape(region, radius_m / STEPS, min(SPIKE * radius_m, WIDEST_SPIKE_m), NARROWEST * coarse_m)
-    gauge_m = min(max(GAUGE * radius_m, LEAST_GAUGE_m), WIDEST_GAUGE_m)
     return layer_in(surface, thickness, region, shape, gauge_m, lengths, fine_at)
 
 

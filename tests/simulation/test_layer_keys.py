@@ -100,7 +100,7 @@ def test_a_scene_on_tissue_without_end_runs_and_says_so(small_scene, base):
 
 
 def test_other_meshes_refuse_tissue_without_end(small_scene):
-    with pytest.raises(SceneError, match="solvers wedges and reduced"):
+    with pytest.raises(SceneError, match="only wedges, reduced and lateral_waves support a Foundation"):
         plan(load(small_scene(skin={"base": "deep", "solver": "particles"})))
 
 
