@@ -42,8 +42,8 @@ CASES = [
 
 
 def coarse(name):
-    on_hand = 'hand"' in scene_file(name).read_text()
-    return COARSE | ({"skin.patch_radius_m": 0.012} if on_hand else {})
+    text = scene_file(name).read_text()
+    return COARSE | ({"skin.patch_radius_m": 0.012} if 'hand"' in text and 'key="cover"' not in text else {})
 
 
 @pytest.fixture(scope="module")

@@ -327,10 +327,7 @@ class SurfaceArp:
     def _record_fields(
         self, falls: tuple[str, ...], block: slice, into: tuple[Any, Any], shades: Shades | None = None
     ) -> Calls:
-        """Return launches that sum the fields of all directivities at the points of a block.
-
-        into: pressures and gradients of up to MOST drives
-        """
+        """Return launches that sum the fields of directivities at a block of points into pressures and gradients."""
         calls, row = [], 0
         room = scratch(self.field.device)
         for group, fall in zip(self._group_drives, falls, strict=True):

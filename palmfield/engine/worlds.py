@@ -83,6 +83,9 @@ class SceneWorlds:
             self._sensors.append([view.sensors(skin.instance) for skin in runtime.binding.skins])
         self._rates = [views[0].sensors(instance) for instance in like.binding.region_instances]
         self.steps = Steps(models, works, self.state, alone=True)
+        # By address of the sensor, because the model without plugins does not apply them
+        sensors = self.mujoco_model.sensor_adr.tolist(), self.mujoco_model.sensor_cutoff.tolist()
+        self._cutoffs: dict[int, float] = dict(zip(*sensors, strict=True))
         self._watched = False
         # Parts of the worlds with their data: a graph computes one part while MuJoCo moves the bodies of another
         owns = [backend.own for backend in self.steps.backends[:-1]] or [slice(0, count)]
@@ -168,7 +171,12 @@ class SceneWorlds:
     def _each(self, part: int, call: str) -> None:
         """Call a MuJoCo function in every world of a part."""
         own, many = self._parts[part]
-        many.call(call)
+        if not self.runtimes[0].unseen:
+            # The bindings of MuJoCo pass on errors of callbacks and of other plugins, which would end a process in C
+            for one in self.data[own]:
+                getattr(mujoco, call)(self.mujoco_model, one)
+        else:
+            many.call(call)
         for number, world in enumerate(self._worlds[own], own.start):
             if world.error is not None:
                 with naming_world(number):
@@ -259,6 +267,8 @@ class SceneWorlds:
 
     def _fill(self, sensor: PluginSensor, read: Float) -> None:
         """Write the data of a sensor, shape (worlds, channels)."""
+        if (cutoff := self._cutoffs[sensor.offsets[0]]) > 0.0:
+            read = np.clip(read, -cutoff, cutoff)
         for own, many in self._parts:
             many.put("sensordata", sensor.offsets, read[own])
 

@@ -16,6 +16,7 @@ from palmfield.types import Float, Int, Patch, Surface
 
 CENTRE_TOLERANCE_m = 0.005
 Lengths = tuple[float, float, float, float, float, float]
+Sizes = tuple[float, float, float, float, float, float, float]
 MADE = ("vertices", "faces", "inward", "depth", "rim")
 """Arrays of a patch in the cache."""
 STEPS, SPIKE, WIDEST_SPIKE_m = 60, 0.08, 8e-3
@@ -79,22 +80,17 @@ def surface_patch(
     # A depth by vertex ends at bones, where no columns meet
     least_m = LEAST_GAUGE_m if np.ndim(depth) == 0 else 0.0
     gauge_m = min(max(GAUGE * radius_m, least_m), WIDEST_GAUGE_m)
-    of = surface, thickness, middle, lengths, gauge_m, direction, fine_middle
+    of = surface, thickness, middle, (gauge_m, *lengths), direction, fine_middle
     made = cache.kept("patch", of, lambda: _made(*of))
     report = dict(zip(made["report_names"].tolist(), made["report"].tolist(), strict=True))
     return Patch(**{name: made[name] for name in MADE}, axis=symmetry, report=report)
 
 
 def _made(
-    surface: Surface,
-    thickness: Float,
-    middle: Float,
-    lengths: Lengths,
-    gauge_m: float,
-    facing: Float | None,
-    fine_at: Float | None,
+    surface: Surface, thickness: Float, middle: Float, sizes: Sizes, facing: Float | None, fine_at: Float | None
 ) -> cache.Arrays:
     """Return the arrays of `surface_patch` by the names MADE, and the report."""
+    gauge_m, lengths = sizes[0], sizes[1:]
     radius_m, _, coarse_m, *_ = lengths
     origin, seed = nearest_face(surface, middle)
     outward = _outward(surface, seed, origin) if facing is None else facing

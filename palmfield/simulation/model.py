@@ -224,9 +224,7 @@ class SkinModel:
 
     @locked_cached_property
     def nodes(self) -> tuple[Float, Float]:
-        """Return rest positions [m] and outward normals of the surface nodes of the layer, body frame, shapes (S,
-        3).
-        """
+        """Return rest positions [m] and outward normals of the surface nodes, body frame, shapes (S, 3)."""
         mesh = self.layer.mesh
         return mesh.nodes[: mesh.surface_nodes], mesh.surface_normals()
 

@@ -74,8 +74,8 @@ class Covering:
         unknowns = 12.0 * self._triangles(fine, coarse, sizes.fine_radius_m) * (len(sizes.depth_fractions) - 1)
         if unknowns > most and resizing >= 1.0:
             raise SceneError(
-                f"key 'cover' has value '{value}', which gives about {unknowns:.2g} unknowns; allowed: at most "
-                f"{most:.2g}, because a step would take a second or more; {mend}"
+                f"a layer of the {value} skin has about {unknowns:.2g} unknowns; allowed: at most {most:.2g}, because "
+                f"a step would take a second or more; {mend}"
             )
         return {"edge_fine_m": fine, "edge_coarse_m": coarse, "radius_m": self.reach_m}
 

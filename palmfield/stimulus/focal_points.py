@@ -27,9 +27,7 @@ class SurfaceCourse(NamedTuple):
     body: Transform
 
     def positions(self, arcs: Float) -> Float:
-        """Return positions [m], shape (k, 3), in the array frame, at arc lengths from the start of the path [m],
-        (k,).
-        """
+        """Return positions [m], array frame, shape (k, 3), at arc lengths from the start of the path [m], (k,)."""
         return self.body.points(self.path.positions(arcs, self.vertices, self.faces))
 
 

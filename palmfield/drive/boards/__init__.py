@@ -50,10 +50,7 @@ def playable_board(name: str) -> Board:
 
 
 def boards_for(frame_rate_Hz: float, modulated: bool, *, several_foci: bool = False) -> list[str]:
-    """Return names of boards of one array for this frame rate, with levels if `modulated`; ideal is the last.
-
-    several_foci: whether frames contain several foci
-    """
+    """Return names of boards of one array that play this rate, levels or several foci, if needed; ideal is the last."""
     able = [
         board.name for board in BOARDS.values()
         if board.arrays[0] == 1 and not board.modulates and not slow(board, frame_rate_Hz)

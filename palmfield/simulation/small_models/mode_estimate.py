@@ -20,6 +20,8 @@ LEAST_CORNER_Hz = 75.0
 
 def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
     """Return why general modes of a skin are impossible, in words, or None. Reasons that need matrices come later."""
+    if skin.config.cover != "patch" and skin.config.solver == "auto":
+        return "modes of a cover are blind to foci far from patch_site; use solver modal if all foci stay near it"
     config = skin.config
     if config.body_sound == "scattering":
         return "boundary elements for every sample load would cost more than a run"

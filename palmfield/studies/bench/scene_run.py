@@ -282,10 +282,6 @@ def main() -> None:
     print(json.dumps(answer(Job(**json.loads(sys.argv[1])))))
 
 
-if __name__ == "__main__":
-    main()
-
-
 def draw_again(sim: Simulation, seed: int) -> None:
     """Draw other paths, levels and array places for a simulation, and reset it. The steppers are kept.
 
@@ -345,3 +341,7 @@ def move_arrays(model: mujoco.MjModel, sites: tuple[int, ...], rng: np.random.Ge
             turned = np.zeros(4)
             mujoco.mju_mulQuat(turned, quaternion, quaternions[number])
             quaternions[number] = turned
+
+
+if __name__ == "__main__":
+    main()
