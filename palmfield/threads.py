@@ -75,6 +75,7 @@ def share(blocks: Sequence[Calls], threads: int) -> None:
                 call()
     except BaseException as error:
         errors.append(error)
+        tuple(todo)  # so that helpers begin no further block
     # Withdraw offers that no helper has taken; wait for the others, which use the caller's arrays
     waited = len(errors)
     for offer in offers:

@@ -12,11 +12,16 @@ pytestmark = pytest.mark.usefixtures("kept_operators")
 COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 250.0, "skin.element_m": None}
 STEPS = 2
 KEY = re.compile(r'<config key="(\w+)"')
-KNOWN = {("phantom_stm70", "mirrored"): "diagonals of a disc's triangles are not mirrored: force changes by 4e-5"}
+KNOWN = {
+    ("phantom_stm70", "mirrored"): "diagonals of a disc's triangles are not mirrored: force changes by 4e-5",
+    ("live_palm", "mirrored"): "as cover_palm",
+    ("cover_palm", "mirrored"): "the mesh of a cover on a left hand is not that of a right hand, mirrored",
+}
 """What is not within its limit, and why; a change that mends it turns the test red."""
 CONTAINED = {"turned by 90 degrees": "axes exchanged", "from a file": "from a file, other order"}
 """Variants that are special cases of another one, which is run here."""
 LIKE_OTHERS = {
+    "live_palm": ("cover_palm", "grasp_object"),
     "approach_withdraw": ("grasp_object",),
     "follow_fingertip": ("tap_button", "grasp_object"),
     "hover_explore": ("grasp_object", "palm_circle_sonicsurface"),
