@@ -21,7 +21,6 @@ KNOWN = {
 CONTAINED = {"turned by 90 degrees": "axes exchanged", "from a file": "from a file, other order"}
 """Variants that are special cases of another one, which is run here."""
 LIKE_OTHERS = {
-    "live_palm": ("cover_palm", "grasp_object"),
     "approach_withdraw": ("grasp_object",),
     "follow_fingertip": ("tap_button", "grasp_object"),
     "hover_explore": ("grasp_object", "palm_circle_sonicsurface"),

@@ -12,6 +12,7 @@ pytestmark = pytest.mark.usefixtures("kept_operators")
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 MOVED = (
     "approach_withdraw", "hover_explore", "tap_button", "follow_fingertip", "trace_shape", "two_hands", "grasp_object",
+    "live_palm",
     "two_hands_both_feel", "palm_and_fingertip",
 )  # fmt: skip
 COMPILE = """
