@@ -10,7 +10,7 @@ from palmfield import cache
 from palmfield.errors import SceneError
 from palmfield.hand.layer import depth_by_vertex
 from palmfield.hand.meshquery import over_plane
-from palmfield.hand.patch import MADE, Lengths, layer_in, nearest_face
+from palmfield.hand.patch import Lengths, layer_in, nearest_face, patch_of
 from palmfield.hand.region import FACING_COSINE, Region, facing_region, trace_shape
 from palmfield.hand.triangles import face_normals
 from palmfield.types import Float, Patch, Surface
@@ -56,9 +56,7 @@ def covered_patch(
     Raises SceneError for a centre off the extent, a hand that is not flat, and a layer that folds.
     """
     of = surface, depth_by_vertex(depth, len(surface.vertices)), centre, cover, sizes, fine_at
-    made = cache.kept("cover", of, lambda: _made(*of))
-    report = dict(zip(made["report_names"].tolist(), made["report"].tolist(), strict=True))
-    return Patch(**{name: made[name] for name in MADE}, report=report)
+    return patch_of(cache.kept("cover", of, lambda: _made(*of)))
 
 
 def _made(

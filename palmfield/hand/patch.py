@@ -81,9 +81,13 @@ def surface_patch(
     least_m = LEAST_GAUGE_m if np.ndim(depth) == 0 else 0.0
     gauge_m = min(max(GAUGE * radius_m, least_m), WIDEST_GAUGE_m)
     of = surface, thickness, middle, (gauge_m, *lengths), direction, fine_middle
-    made = cache.kept("patch", of, lambda: _made(*of))
+    return patch_of(cache.kept("patch", of, lambda: _made(*of)), symmetry)
+
+
+def patch_of(made: cache.Arrays, axis: Float | None = None) -> Patch:
+    """Return the patch of the arrays of `layer_in`."""
     report = dict(zip(made["report_names"].tolist(), made["report"].tolist(), strict=True))
-    return Patch(**{name: made[name] for name in MADE}, axis=symmetry, report=report)
+    return Patch(**{name: made[name] for name in MADE}, axis=axis, report=report)
 
 
 def _made(

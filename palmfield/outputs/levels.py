@@ -15,7 +15,7 @@ from palmfield.outputs.motion import PIECE_BYTES, normal_component
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import has_records, instances
 from palmfield.perception.maps import felt_lines, level_map, lines_in, lines_of, too_little_skin, wanted_s
-from palmfield.perception.observers import OBSERVERS
+from palmfield.perception.observers import OBSERVERS, levels_dB_SL
 from palmfield.stimulus.resolved_keys import ResolvedStimulus
 from palmfield.stimulus.schedule import main_frequencies, repeat_rate_Hz, steady_stretch_s, turn_rate_Hz
 from palmfield.types import Float32
@@ -53,7 +53,7 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
         [
             np.full(len(areas), np.nan)
             if too_little_skin(one, amplitudes, areas)
-            else level_map(one, times[steady], normal, frequencies)
+            else levels_dB_SL(one, frequencies, amplitudes)
             for one in OBSERVERS.values()
         ]
     )

@@ -11,7 +11,6 @@ from palmfield.hand.cover import Cover, covered_patch
 from palmfield.hand.joint_tree import named_side
 from palmfield.hand.palmar import labelled_cover, shaped_cover
 from palmfield.hand.preset import load_preset
-from palmfield.hand.scene_layers import OF_A_MESH
 from palmfield.hand.skinning import rigged_file
 from palmfield.hand.split_edges import split_long_edges
 from palmfield.hand.surface import hand_surface
@@ -27,8 +26,6 @@ MOST_COUNTED = 1e5
 
 MOST_OF_WHOLE, MOST_OF_PALMAR = 100_000, 300_000
 """Largest number of unknowns of a layer that covers a hand."""
-OF_PRESETS = 0.6
-"""Largest depth as a share of the distance through a preset, which has bones."""
 COARSEST_SURFACE_m = 4e-3
 """Edges of the surface of a preset whose whole skin has a layer: the longest that `hand_surface` makes."""
 COARSEST_m = 8e-3
@@ -91,16 +88,18 @@ class Covering:
         expected = float(face_normals(vertices, faces)[1].sum()) / 0.43 / edge_m**2
         return expected if expected > MOST_COUNTED else len(split_long_edges(vertices, faces, LONGER * edge_m)[1])
 
-    def patch(self, config: SkinConfig, sizes: Sizes, centre_m: Float, fine_m: Float, resizing: float) -> Patch:
+    def patch(
+        self, config: SkinConfig, sizes: Sizes, fraction: float, centre_m: Float, fine_m: Float, resizing: float
+    ) -> Patch:
         """Return the layer about a centre, with fine elements about `fine_m` [m], if it is graded.
 
+        fraction: largest depth as a share of the distance through the body
         Raises SceneError if it folds, and for all skin with elements larger than the chosen ones.
         """
         if self.palmar is None:
             if resizing > 1.0:
                 raise SceneError("a layer below a whole hand has its triangles, which cannot be coarser")
             return whole_layer(self.surface, self.depth_m, config.depth_m, LONGER * sizes.edge_fine_m)
-        fraction = OF_PRESETS if config.shape in OF_SHAPES["hand"] else OF_A_MESH
         edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
         lengths = (self.reach_m, *edges, config.depth_m, fraction)
         return covered_patch(self.surface, self.depth_m, centre_m, self.palmar, lengths, fine_m)

@@ -218,15 +218,15 @@ class SceneLayer:
             x, y, _ = offset
             edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
             return disc_patch(config.radius_m, config.thickness_m, *edges, (x, y))
+        # The layer of a hand preset, which has bones, may reach past the middle; other bodies have no bones.
+        fraction = 0.6 if config.shape in OF_SHAPES["hand"] else 0.45
         if self.cover is not None:
             with self.meshing():
-                return self.cover.patch(config, sizes, self.centre_m, self.centre_m + offset, self.resizing)
+                return self.cover.patch(config, sizes, fraction, self.centre_m, self.centre_m + offset, self.resizing)
         assert self.surface is not None
         # The mesh of a left hand is the mirror image of the mesh of the right hand, like its surface
         left = config.shape in OF_SHAPES["hand"] and load_preset(config.hand).side == "left"
         surface, mirror = (mirrored_surface(self.surface), MIRROR) if left else (self.surface, np.ones(3))
-        # The layer of a hand preset, which has bones, may reach past the middle; other bodies have no bones.
-        fraction = 0.6 if config.shape in OF_SHAPES["hand"] else 0.45
         with self.meshing():
             patch = surface_patch(
                 surface,

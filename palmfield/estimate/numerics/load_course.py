@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from palmfield.drive.response_error import recursion
 from palmfield.estimate.array_inputs import stimulus_of
 from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.simulation.emission import array_drives
@@ -56,8 +57,7 @@ class LoadCourse:
             factors = factors * np.maximum(1.0 - np.abs(at[:, None] - np.arange(PLACES)), 0.0)
         for rate in (self.damping_1_s, 2.0 * self.damping_1_s) if math.isfinite(self.damping_1_s) else ():
             decay, first, last = branch_weights(step_s, 1.0 / rate)
-            rung = np.zeros_like(factors)
-            for n in range(1, len(times)):
-                rung[n] = decay * rung[n - 1] + first * factors[n - 1] + last * factors[n]
-            factors = rung
+            loads = np.zeros_like(factors)
+            loads[1:] = first * factors[:-1] + last * factors[1:]
+            factors = recursion([1.0, -decay], loads).real
         return Course(times, factors, self.drives is not None)

@@ -27,8 +27,8 @@ from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import instances
 from palmfield.outputs.skin_view import SkinView, draw_patch, view_of_skin
 from palmfield.outputs.style import signed_colours
-from palmfield.perception.maps import felt_lines, level_map, lines_of, too_little_skin
-from palmfield.perception.observers import OBSERVERS
+from palmfield.perception.maps import felt_lines, lines_of, too_little_skin
+from palmfield.perception.observers import OBSERVERS, levels_dB_SL
 from palmfield.stimulus.resolved_keys import ResolvedStimulus
 from palmfield.stimulus.schedule import steady_stretch_s
 from palmfield.types import Float
@@ -96,7 +96,7 @@ def level_map_of(result: xr.DataTree, options: Options) -> Figure:
             raise OutputError(f"no map of observer {key}: {refusal}")
         if refusal:
             continue
-        levels = level_map(OBSERVERS[key], times, motion, lines)
+        levels = levels_dB_SL(OBSERVERS[key], lines, amplitudes)
         if np.isfinite(levels).any():
             shown.append((key, np.maximum(levels, LEAST_LEVEL_DB)))
     if not shown:
